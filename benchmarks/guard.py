@@ -126,7 +126,7 @@ def _cases(folder: Path) -> list[Case]:
     matrix, borders = rng.normal(size=(rows, 6)), np.linspace(0, rows, 21).astype(np.int64)
     # A flow that the motor's own paths explain, and their columns.
     ranges = ((20.0, 300.0), (40.0, 60.0), (3.0, 110.0))
-    made = OperatingConditions.from_bar(*(rng.uniform(*one, rows) for one in ranges))
+    made = OperatingConditions.from_bar(*(rng.uniform(*span, rows) for span in ranges))
     motor = spec.motor(NIGHT, "none")
     flow = leakage_l_per_min(motor, made) + rng.normal(0.0, 0.02, rows)
     columns = np.column_stack([regressors(motor, made), flow])

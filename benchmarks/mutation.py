@@ -212,7 +212,7 @@ def _imported(file: Path) -> set[str]:
     nodes = ast.walk(ast.parse(file.read_text("utf-8")))
     imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
     modules = {(node.module or "").rpartition(".")[2] for node in imports}
-    return modules | {one.name for node in imports for one in node.names}
+    return modules | {name.name for node in imports for name in node.names}
 
 
 def _run(folder: Path, tests: list[str]) -> None:

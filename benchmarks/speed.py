@@ -78,11 +78,11 @@ def _cost(commands: Sequence[Sequence[str]], environment: Mapping[str, str]) -> 
     used, begin = _children_s(), time.perf_counter()
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", *one],
+            [sys.executable, "-m", *command],
             stdout=subprocess.DEVNULL,
             env={**os.environ, **environment},
         )
-        for one in commands
+        for command in commands
     ]
     if any(process.wait() for process in processes):
         raise RuntimeError(f"{commands[0]} failed")

@@ -32,7 +32,7 @@ def executed(names: Sequence[str], folder: Path) -> dict[str, Any]:
 
     notebooks = {name: nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", 4) for name in names}
     together = nbformat.v4.new_notebook(
-        cells=[cell for one in notebooks.values() for cell in one.cells]
+        cells=[cell for notebook in notebooks.values() for cell in notebook.cells]
     )
     where = {"metadata": {"path": str(folder)}}
     NotebookClient(together, timeout=120, kernel_name="python3", resources=where).execute()

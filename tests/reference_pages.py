@@ -126,7 +126,7 @@ def _key_lines(
         words = " ".join(words.split()).removesuffix(".")
         how = [f"`{text}`"] if (text := _default(field, table)) else [_kind(field.annotation)]
         told = ["", field.default, *words.split("`")]
-        choices = [f"`{one}`" for one in _choices(field.annotation) if one not in told]
+        choices = [f"`{choice}`" for choice in _choices(field.annotation) if choice not in told]
         how += [" ".join(choices)] * bool(choices)
         how += ["required"] * field.is_required()
         yield f"- `{prefix}{name}` ({', '.join(how)}): {words}"
@@ -143,7 +143,7 @@ def _meanings(model: type) -> dict[str, str]:
     assert isinstance(definition, ast.ClassDef)
     for key, text in pairwise(definition.body):
         match key, text:
-            case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
+            case [ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words)))]:
                 found[name] = words
     return found
 
@@ -176,7 +176,7 @@ def _choices(annotation: Any) -> Sequence[str]:
     """Values that a key, or an element of its list, can have, where they are listed."""
     if get_origin(annotation) is Literal:
         return get_args(annotation)
-    return [one for part in get_args(annotation) for one in _choices(part)]
+    return [choice for part in get_args(annotation) for choice in _choices(part)]
 
 
 def _words(table: type[Section]) -> str:
@@ -202,7 +202,7 @@ def _overrides() -> str:
 
 def table_reference() -> str:
     """The page `tables.md`: every column of every table, from `pipeline.schema`."""
-    every = [one for table in TABLES for one in table.columns]
+    every = [column for table in TABLES for column in table.columns]
     common = [one for one, n in Counter(every).items() if n >= MANY]
     lines = [
         "# Tables",
@@ -227,7 +227,7 @@ def table_reference() -> str:
         lines += [f"## {table.name}", f"One row is {table.row}. Key: {key}."]
         if table is LATEST:
             lines.append("The columns of `nights`, and:")
-        own = [one for one in table.columns if one not in common]
+        own = [column for column in table.columns if column not in common]
         own = [one for one in own if table is not LATEST or one not in NIGHTS.columns]
         for group, columns in groupby(own, lambda one: one.group):
             lines += [f"*{group}*"] * bool(group) + [_column_lines(list(columns))]
@@ -249,10 +249,12 @@ def _column_lines(columns: Sequence[Column]) -> str:
     """A line on each column, or on several that mean the same."""
     kinds = {str(kind): word for word, kind in TYPES.items()} | {"Float64": ""}
     alike: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
-    for one in columns:
-        unit = "" if one.name.endswith(UNIT_IN_NAME) or one.unit in ("1", "UTC") else one.unit
-        how = ", ".join(filter(None, (kinds[str(one.type)], unit)))
-        alike[how and f" ({how})", one.description].append(f"`{one.name}`")
+    for column in columns:
+        unit = (
+            "" if column.name.endswith(UNIT_IN_NAME) or column.unit in ("1", "UTC") else column.unit
+        )
+        how = ", ".join(filter(None, (kinds[str(column.type)], unit)))
+        alike[how and f" ({how})", column.description].append(f"`{column.name}`")
     return "\n".join(f"- {', '.join(names)}{how}: {words}" for (how, words), names in alike.items())
 
 

@@ -58,7 +58,7 @@ def test_schedulers_call_commands_and_options_that_there_are(path: Path) -> None
     calls = re.findall(r"motor-leakage ([a-z]\S*)([^;&|>\n]*)", text)
     assert calls
     for command, rest in calls:
-        options = {option for one in known[command].params for option in one.opts}
+        options = {option for param in known[command].params for option in param.opts}
         assert set(re.findall(r"(?<=\s)--[a-z-]+", rest)) <= options
         assert path in OTHERS or "${FLEET}" in rest
 

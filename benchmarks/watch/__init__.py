@@ -90,7 +90,7 @@ def _highest(number: int) -> dict[str, Array]:
 
 def _limits(motors: Sequence[dict[str, Array]]) -> dict[str, float]:
     """Limits with which the charts of healthy motors begin to alarm at the rate."""
-    return {method: _limit(np.array([one[method] for one in motors])) for method in motors[0]}
+    return {method: _limit(np.array([motor[method] for motor in motors])) for method in motors[0]}
 
 
 def _limit(highest: Array) -> float:

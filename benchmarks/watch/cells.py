@@ -124,7 +124,10 @@ def change(
         share = share * (night < until) * (night % every == 0)
         firsts = {name: getattr(HEALTHY, name) for name in to}
         return State(
-            **{name: (one + share * (to[name] - one)) ** power for name, one in firsts.items()}
+            **{
+                name: (first + share * (to[name] - first)) ** power
+                for name, first in firsts.items()
+            }
         )
 
     return course

@@ -41,9 +41,9 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     reached = np.flatnonzero(np.abs(history.change) >= REACHED)
     is_reached = len(reached) and event.begin is not None and "odd_nights" not in event.right
     said: dict[int, list[tuple[int, Change]]] = {}
-    for one in verdicts:
-        if one.change is not None:
-            said.setdefault(one.change.told_on, []).append((one.day, one.change))
+    for verdict in verdicts:
+        if verdict.change is not None:
+            said.setdefault(verdict.change.told_on, []).append((verdict.day, verdict.change))
     found = {
         "told": [_told(told_on, of, change, cell) for told_on, of in said.items()],
         "tonight": [*_missed(verdicts, newest_night), *_missed(verdicts, change)],
@@ -52,7 +52,7 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     }
     if cell.group == "laminar":
         # At reference conditions, and at the motor's own.
-        first = np.concatenate([one.conditions for one in history.nights[: cell.baseline]])
+        first = np.concatenate([night.conditions for night in history.nights[: cell.baseline]])
         found["leakages"] = [_leakage(watch, at) for at in (REFERENCE, np.median(first, axis=0))]
     if cell.has_rivals:
         begin = max(cell.baseline, event.begin or 0)
@@ -73,12 +73,14 @@ def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[V
     What the others of its tank say of all flows is known to it.
     """
     settings = WatchSettings(baseline_nights=baseline)
-    watches = [Watch.begin(one.machine, one.nights[:baseline], settings) for one in histories]
+    watches = [
+        Watch.begin(history.machine, history.nights[:baseline], settings) for history in histories
+    ]
     verdicts = []
     for place in range(baseline, len(histories[0].nights)):
         watches = [
-            watch.after(one.nights[place], partial(_earlier, one.nights[: place + 1]))
-            for watch, one in zip(watches, histories, strict=True)
+            watch.after(history.nights[place], partial(_earlier, history.nights[: place + 1]))
+            for watch, history in zip(watches, histories, strict=True)
         ]
         watches = [
             watch.beside([other for other in watches if other is not watch]) for watch in watches
@@ -88,7 +90,7 @@ def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[V
 
 
 def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
-    return [one for one in nights if one.day >= day]
+    return [night for night in nights if night.day >= day]
 
 
 def _told(told_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
@@ -119,7 +121,7 @@ def _named(change: Change) -> list[object]:
 
 def _missed(verdicts: Sequence[Verdict], true: Array) -> tuple[float, float]:
     """Of tonight's change: root mean square error, and share of nights within the interval."""
-    value, lower, upper = np.array([_with_interval(one.newest_night) for one in verdicts]).T
+    value, lower, upper = np.array([_with_interval(verdict.newest_night) for verdict in verdicts]).T
     of = true[-len(value) :]
     inside = (lower <= of) & (of <= upper)
     return round(float(np.sqrt(np.mean((value - of) ** 2))), 4), round(float(inside.mean()), 4)

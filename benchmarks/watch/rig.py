@@ -70,7 +70,7 @@ def folder() -> Path:
 def _nights(minutes: int, nights: int) -> tuple[NightBlocks, ...]:
     rows, length = read_records(folder())[0].warm(), timedelta(minutes=minutes)
     step = (rows[TIME][-1] - rows[TIME][0] - length) / (nights - 1)
-    return tuple(_night(one) for one in windows(rows, length, step))
+    return tuple(_night(window) for window in windows(rows, length, step))
 
 
 def _night(rows: pl.DataFrame) -> NightBlocks:

@@ -78,7 +78,7 @@ def chart(change: Array, baseline: int, weight: float = 1.0) -> Array:
 
 def charts(nights: Sequence[NightBlocks], baseline: int) -> dict[str, Array]:
     """All of them: distance of each night from the baseline, shape (n,)."""
-    flow = np.array([one.flow.mean() for one in nights])
+    flow = np.array([night.flow.mean() for night in nights])
     return {
         "mean flow, Shewhart": chart(flow, baseline),
         "mean flow, EWMA": chart(flow, baseline, EWMA_WEIGHT),

@@ -28,12 +28,12 @@ STEP_S, BLOCK_S = 10.0, 120.0
 OWN_SAMPLES = 480  # of the baseline, at which the motor's own change is taken
 CONFIG = Path(__file__).parents[2] / "configs" / "fleet.toml"
 MODEL = next(
-    one.motor(date(2026, 1, 1), "none")
-    for one in load_fleet(CONFIG).motors
-    if one.motor_id == "CB560-01"
+    motor.motor(date(2026, 1, 1), "none")
+    for motor in load_fleet(CONFIG).motors
+    if motor.motor_id == "CB560-01"
 )
 # θ as configured, shape (p + 1,), and the names of its columns.
-THETA = np.array([one.configured_coefficient if one else 0.0 for one in MODEL.coefficient_paths])
+THETA = np.array([path.configured_coefficient if path else 0.0 for path in MODEL.coefficient_paths])
 PATHS = RING, PISTON, SLEEVE = tuple(path.name for path in MODEL.column_paths)
 OIL_VG68 = (68.0, 8.7)  # kinematic viscosity at 40 and 100 °C [mm²/s]
 

@@ -35,7 +35,9 @@ def tables(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[Table]:
         of = motors.filter(pl.any_horizontal(pl.col("group").str.starts_with(g) for g in groups))
         by = rows(of).group_by(keys, maintain_order=True)
         columns = header.split(" | ")
-        made.append(Table(name, [{one: _text(of, one) for one in columns} for _, of in by]))
+        made.append(
+            Table(name, [{column: _text(of, column) for column in columns} for _, of in by])
+        )
     return made
 
 
@@ -66,7 +68,7 @@ def _row(cell: Cell, motor: Outcome) -> dict[str, Any]:
     # Detected first of the change, or since the baseline: an alarm, or a notice that is right; the
     # same again, where it was detected before the change.
     tells = (one for one in told if not one["is_notice"] or one["first"][0] in event.right)
-    first = next((one for one in tells if one["night"] >= since), None)
+    first = next((tell for tell in tells if tell["night"] >= since), None)
     end = event.nights if event.begin is None else since
     named = " and ".join(one[when][0] for one in told for when in ("first", "cause"))
     return dict.fromkeys(TYPES) | {
@@ -153,7 +155,7 @@ def _names(motors: pl.DataFrame) -> str:
 def _charts(motors: pl.DataFrame) -> dict[str, Nights]:
     """By method, each motor's nights to the first alarm."""
     rows = motors["rivals"].drop_nulls().to_list()
-    return {name: [one[name] for one in rows] for name in (rows[0] if rows else ())}
+    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
 
 
 def _first_alarms(motors: pl.DataFrame, nights: Nights) -> str:
@@ -164,8 +166,8 @@ def _first_alarms(motors: pl.DataFrame, nights: Nights) -> str:
 
 def _delay(motors: pl.DataFrame, nights: Nights) -> str:
     """Median and 90 % quantile, and how many were told if not all."""
-    ends = np.quantile([one or np.inf for one in nights], [0.5, 0.9], method="higher")
-    median, late = (f"{one:.0f}" if np.isfinite(one) else f"> {motors['left'][0]}" for one in ends)
+    ends = np.quantile([night or np.inf for night in nights], [0.5, 0.9], method="higher")
+    median, late = (f"{end:.0f}" if np.isfinite(end) else f"> {motors['left'][0]}" for end in ends)
     told = len(nights) - nights.count(None)
     return f"{median} ({late})" + ("" if told == len(nights) else f", {told}/{len(nights)}")
 
@@ -191,7 +193,7 @@ COLUMNS: dict[str, Callable[[pl.DataFrame], str]] = {
     "nights": lambda motors: _delay(motors, motors["night"].to_list()),
     "names": _names,
     "charts": lambda m: "; ".join(_delay(m, nights) for nights in _charts(m).values()),
-    "charts a year": lambda m: "; ".join(_first_alarms(m, one) for one in _charts(m).values()),
+    "charts a year": lambda m: "; ".join(_first_alarms(m, chart) for chart in _charts(m).values()),
     "tonight": _tonight,
     "leakage": lambda motors: "{1:+.1f} % ({0:+.1f} to {2:+.1f} %)".format(
         *np.percentile(100.0 * motors["value"].to_numpy(), [0, 50, 100])
@@ -232,7 +234,7 @@ def _readme_row(motors: pl.DataFrame) -> list[str]:
     every = [motors["night"].to_list(), *charts]
     if motors["group"][0] == "healthy":
         rate = motors["false alarms"].sum() * YEAR / motors["watched"].sum()
-        return [f"{rate:.2f}", *(_first_alarms(motors, one) for one in charts)]
+        return [f"{rate:.2f}", *(_first_alarms(motors, chart) for chart in charts)]
     if motors["group"][0] == "no wear":
         return [f"{len(one) - one.count(None)} of {len(one)}" for one in every]
     watch, *others = (_in_words(motors, one) for one in every)
@@ -244,7 +246,7 @@ def _in_words(motors: pl.DataFrame, nights: Nights) -> str:
     """The median night, or how many were not told."""
     n, missed = len(nights), nights.count(None)
     if 2 * missed < n:
-        return f"night {sorted(nights, key=lambda one: one or np.inf)[n // 2]}"
+        return f"night {sorted(nights, key=lambda night: night or np.inf)[n // 2]}"
     return f"{missed} of {n} not in {motors['left'][0]} nights"
 
 

@@ -64,7 +64,7 @@ class Search:
 def free_parameters(motor: Motor) -> tuple[Parameter, ...]:
     """The parameters that are estimated, in the order of the columns."""
     paths = (path for path in motor.coefficient_paths if path)
-    return tuple(one for path in paths for one in path.parameters if one.is_free)
+    return tuple(parameter for path in paths for parameter in path.parameters if parameter.is_free)
 
 
 def coefficients_at(motor: Motor, free: Array) -> Array:

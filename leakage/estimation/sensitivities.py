@@ -165,7 +165,7 @@ class ErrorBudget:
     def of_sensors(self) -> ErrorBudget:
         """The effects of sensors alone."""
         return ErrorBudget(
-            tuple(one for one in self.effects if one.source.name.startswith(SENSORS))
+            tuple(effect for effect in self.effects if effect.source.name.startswith(SENSORS))
         )
 
     def coefficients(self) -> Array | None:
@@ -205,16 +205,16 @@ def error_budget(
     n, told = len(flow_l_per_min), [*sources(motor, tolerances)]
     read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
     windows = [read, *(source.disturbed(read) for source in told)]
-    columns = np.stack([regressors(one.motor, one.conditions) for one in windows])
-    flows = np.stack([one.flow_l_per_min for one in windows])
+    columns = np.stack([regressors(window.motor, window.conditions) for window in windows])
+    flows = np.stack([window.flow_l_per_min for window in windows])
     thetas = _coefficients(motor, np.concatenate([columns[:, :n], flows[:, :, None]], axis=2))
     stated = np.empty((len(windows), len(at), columns.shape[2]))
     for place, each in enumerate(at):
         # No sensor moves what is stated.
         stated[:, place] = regressors(motor, each)[0]
-        for row, one in enumerate(windows):
-            if one.motor is not motor:
-                stated[row, place] = regressors(one.motor, each)[0]
+        for row, window in enumerate(windows):
+            if window.motor is not motor:
+                stated[row, place] = regressors(window.motor, each)[0]
     asked = np.concatenate([stated, columns[:, n:]], axis=1)
     leakages = np.einsum("smp,sp->sm", asked[:, :, :-2], thetas[:, :-1]) + asked[:, :, -1]
     return ErrorBudget(

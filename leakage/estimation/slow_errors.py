@@ -154,16 +154,16 @@ def slow_errors(
     seen = factors @ design
     grams = seen.transpose(0, 2, 1) @ seen
     errors = {
-        scales: _within_errors(grams - one.grams(), one, sample_count(whole))
-        for scales, one in blocks.items()
+        scales: _within_errors(grams - block.grams(), block, sample_count(whole))
+        for scales, block in blocks.items()
     }
     # Both are held against one size of the errors: that of the direction that leaves less.
-    variance, within = min(errors.values(), key=lambda one: one[0] * one[1])
+    variance, within = min(errors.values(), key=lambda error: error[0] * error[1])
     if not variance * sample_count(whole) > (ROUNDING * np.linalg.norm(whole[:, -1])) ** 2:
         return NOT_SLOW
     found = {
-        scales: _most_likely(whole @ design, one, variance * within)
-        for scales, one in blocks.items()
+        scales: _most_likely(whole @ design, block, variance * within)
+        for scales, block in blocks.items()
     }
     scales = max(sorted(found, reverse=True), key=lambda one: found[one][2])
     return SlowErrors(

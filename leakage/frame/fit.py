@@ -201,7 +201,7 @@ def _sample_blocks(samples: FrameSamples, made: CompressedSamples, used: Mask) -
     blocks = [block for block, is_used in zip(made.blocks, used, strict=True) if is_used]
     borders_us = np.array([(block.start_us, block.end_us) for block in blocks]).T
     channels = (samples.oil_temperature_c, samples.pressure_bar, samples.speed_rpm)
-    parts = [[one[block.first_row : block.end_row] for one in channels] for block in blocks]
+    parts = [[channel[block.first_row : block.end_row] for channel in channels] for block in blocks]
     celsius, bar, rpm = (
         (min(float(one.min()) for one in of), max(float(one.max()) for one in of))
         for of in zip(*parts, strict=True)

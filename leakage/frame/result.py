@@ -143,8 +143,10 @@ class FrameFit:
         """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
         contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
         told = self.identification.distribution
-        intervals = [None if told is None else told.interval(one) for one in contrasts]
-        samples = np.array([np.nan if one is None else one.half_width for one in intervals])
+        intervals = [None if told is None else told.interval(contrast) for contrast in contrasts]
+        samples = np.array(
+            [np.nan if interval is None else interval.half_width for interval in intervals]
+        )
         model = self._model_errors(contrasts, LEAKAGE_FACTOR)
         each = [at.part(slice(place, place + 1)) for place in range(len(rows))]
         sensors = self._sensors(each).leakages_l_per_min()
@@ -240,8 +242,8 @@ class FrameFit:
             "path": [path.name for path in paths],
             "unit": [path.coefficient_unit for path in paths],
             "value": list(self.params.values()),
-            "lower": [None if one is None else one[0] for one in intervals],
-            "upper": [None if one is None else one[1] for one in intervals],
+            "lower": [None if interval is None else interval[0] for interval in intervals],
+            "upper": [None if interval is None else interval[1] for interval in intervals],
             "total_half_width": totals,
             "configured": [path.configured_coefficient for path in paths],
             "verdict": [one.verdict for one in judged],

@@ -144,9 +144,9 @@ def read_samples(
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
     if table.has(CHARGE):
         values[CHARGE] = table.numbers(CHARGE)
-    kept = np.logical_and.reduce([np.isfinite(one) for one in values.values()])
+    kept = np.logical_and.reduce([np.isfinite(value) for value in values.values()])
     if not kept.any():
-        empty = [name for name, one in values.items() if not np.isfinite(one).any()]
+        empty = [name for name, value in values.items() if not np.isfinite(value).any()]
         of = f"{', '.join(empty)} has no values" if empty else "each lacks a value"
         raise StatisticsError("no_samples", f"no row of {len(kept)} is complete: {of}")
     falls = np.flatnonzero(np.diff(time_us) <= 0)

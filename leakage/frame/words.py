@@ -35,7 +35,7 @@ class Summary:
             for row in self.table
         ]
         lines[1:1] = ["-" * max(map(len, lines))]
-        warnings = [f"warning: {one}" for one in self.warnings]
+        warnings = [f"warning: {warning}" for warning in self.warnings]
         return "\n".join([self.title, *warnings, "", *lines, "", *self.notes])
 
     __repr__ = __str__

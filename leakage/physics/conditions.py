@@ -74,11 +74,13 @@ class OperatingConditions:
     @classmethod
     def joined(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
         """Samples of some conditions, one after the other; all of one side, or all of both."""
-        charges = [one.charge_over_case_pa for one in parts if one.charge_over_case_pa is not None]
+        charges = [
+            part.charge_over_case_pa for part in parts if part.charge_over_case_pa is not None
+        ]
         return cls(
-            np.concatenate([one.pressure_difference_pa for one in parts]),
-            np.concatenate([one.oil_temperature_c for one in parts]),
-            np.concatenate([one.speed_rpm for one in parts]),
+            np.concatenate([part.pressure_difference_pa for part in parts]),
+            np.concatenate([part.oil_temperature_c for part in parts]),
+            np.concatenate([part.speed_rpm for part in parts]),
             np.concatenate(charges) if charges else None,
         )
 

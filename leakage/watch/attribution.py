@@ -294,7 +294,7 @@ def _told(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
     """The name of the likeliest group, or that it cannot be identified, and its probability."""
-    group, probability = max(groups.items(), key=lambda one: one[1])
+    group, probability = max(groups.items(), key=lambda item: item[1])
     if probability < choices.NAMED or SEVERAL in group:
         return CANNOT_BE_TOLD, probability
     if BACK in group and by_name[BACK] >= choices.MOSTLY * probability:

@@ -322,9 +322,9 @@ class Evidence:
     def _weighed(self, first: Array, second: Array, starts: Places) -> Told:
         """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
         priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
-        mean = np.stack([one[0] for one in priors])[:, None, :]
-        spread = np.stack([one[1] for one in priors])[:, None, :]
-        is_half = np.stack([one[2] for one in priors])[:, None, :]
+        mean = np.stack([prior[0] for prior in priors])[:, None, :]
+        spread = np.stack([prior[1] for prior in priors])[:, None, :]
+        is_half = np.stack([prior[2] for prior in priors])[:, None, :]
         sd = 1.0 / np.sqrt(second + spread**-2)
         size = sd**2 * (first + mean / spread**2)
         gain = (size / sd) ** 2 - (mean / spread) ** 2

@@ -47,7 +47,7 @@ class Kept:
     crossing: Crossing | None
 
 
-AS_IN_STATE = tuple(one.name for one in fields(Kept) if not one.name.startswith("undone"))
+AS_IN_STATE = tuple(field.name for field in fields(Kept) if not field.name.startswith("undone"))
 
 
 def arrays_of(state: State) -> dict[str, Array]:

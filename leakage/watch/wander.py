@@ -223,7 +223,9 @@ def _memory(
     line = np.column_stack([root, root * (days - days.mean()) / max(float(np.ptp(days)), 1.0)])
     if n <= line.shape[1] + 1:
         return prior.memory
-    log_likelihood = np.array([_restricted(level, line, one) for one in _correlations(days)])
+    log_likelihood = np.array(
+        [_restricted(level, line, correlation) for correlation in _correlations(days)]
+    )
     weights = prior.memory * np.exp(log_likelihood - log_likelihood.max())
     memory: Array = weights / weights.sum()
     return memory

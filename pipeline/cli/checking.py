@@ -89,7 +89,7 @@ def check(
 
 def _fleet_faults(fleet: Fleet, checks: Iterable[MotorCheck]) -> Iterator[UsageError]:
     """What is wrong with the fleet as a whole."""
-    if not any(one.n_files for one in checks):
+    if not any(check.n_files for check in checks):
         where = f"no log of any motor is below {fleet.log_place}"
         yield UsageError("no_logs", f"{where}; correct folders.logs, or logs.files")
     if fleet.metrics_file is not None and not fleet.metrics_file.parent.is_dir():
@@ -140,7 +140,7 @@ def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
     from pipeline.units import canonical_unit
 
     unit = canonical_unit(channel.channel).replace("degC", "°C")
-    largest = sorted(channel.refused_by.items(), key=lambda one: -one[1])
+    largest = sorted(channel.refused_by.items(), key=lambda item: -item[1])
     rules = (f"{name} {100 * share:.3g} %" for name, share in largest if share > WORTH_TELLING)
     return (
         channel.channel,

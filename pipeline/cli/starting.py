@@ -111,10 +111,12 @@ def init(
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
             break
-        for one in questions:
-            answers[one.key] = str(typer.prompt(_text(one)))
+        for question in questions:
+            answers[question.key] = str(typer.prompt(_text(question)))
             # What is typed is not lost with the terminal.
-            typer.echo(f"--answer {shlex.quote(f'{one.key}={answers[one.key]}')}", err=True)
+            typer.echo(
+                f"--answer {shlex.quote(f'{question.key}={answers[question.key]}')}", err=True
+            )
         proposal = _proposed(source, answers, root)
     observed = observed_of(proposal)
     proposal = with_sampling(proposal, observed)
@@ -122,8 +124,8 @@ def init(
     faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
     for key in proposal.unneeded:
         typer.echo(f"not needed: the answer {key}: the logs say it, or another answer does")
-    for one in questions:
-        typer.echo(f"--answer '{one.key}=…': {_text(one)}")
+    for question in questions:
+        typer.echo(f"--answer '{question.key}=…': {_text(question)}")
     for fault in faults:
         typer.echo(fault, err=True)
     if questions or not proposal.motors:
@@ -134,7 +136,7 @@ def init(
     else:
         files = added_files(proposal, fleet, defaults, *machine)
     if write:
-        types = {machine_of(one, *machine, answers)[0] for one in proposal.motors}
+        types = {machine_of(motor, *machine, answers)[0] for motor in proposal.motors}
         write_fleet(files, to, shipped_configs(), *sorted(types))
     _say_files(files, to, is_written=write)
     raise typer.Exit(EXIT_MOTORS_FAILED if faults else EXIT_OK)

@@ -96,7 +96,7 @@ def print_status(
     columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
     rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
     styles = [COLOURS.get(motor.state, "") for motor in found.motors]
-    print_table(columns, ([row[one] for one in columns] for row in rows), name, styles)
+    print_table(columns, ([row[column] for column in columns] for row in rows), name, styles)
     for line in _fleet_lines(found, too_old=too_old, is_silent=is_silent):
         say(line, err=not on_terminal)
 
@@ -112,7 +112,7 @@ def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
         "silent": is_silent,
         "standing": found.standing,
         "run": None if found.beat is None else asdict(found.beat),
-        "receivers": [asdict(one) for one in found.receivers],
+        "receivers": [asdict(receiver) for receiver in found.receivers],
         "damage": [asdict(fault) for fault in found.damage],
     }
     typer.echo(json.dumps(fleet, default=str))
@@ -130,14 +130,14 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Itera
     if (line := _run_line(found)) is not None:
         yield line
     yield from found.standing
-    yield from (one.words for one in found.receivers if one.undelivered)
+    yield from (receiver.words for receiver in found.receivers if receiver.undelivered)
     if found.damage:
         first, files = found.damage[0], counted(len(found.damage), "published file")
         yield f"damaged or missing: {files}, such as {first.path}: {first.code}"
     checks = [motor.intraday for motor in found.motors if motor.intraday is not None]
     if checks:
         risen, confirmed, withdrawn = (
-            sum(getattr(one, name) for one in checks)
+            sum(getattr(check, name) for check in checks)
             for name in ("risen", "confirmed", "withdrawn")
         )
         yield f"intraday rises: reported {risen}, confirmed {confirmed}, withdrawn {withdrawn}"
@@ -303,7 +303,7 @@ def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
     from pipeline.trends.rows.motor_states import REMOVED, published_states
 
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
-    gone = {one.motor_id: one.row["night"] for one in states if one.state == REMOVED}
+    gone = {state.motor_id: state.row["night"] for state in states if state.state == REMOVED}
     last: dt.date | None = gone.get(motor_id)
     return last
 
@@ -327,7 +327,7 @@ def _opened(motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note
     worn, sound = parts
     if both := sorted({*worn} & {*sound}):
         raise UsageError("finding_part", f"{', '.join(both)}: expected worn or sound, not both")
-    named = (", ".join(one) or None for one in parts)
+    named = (", ".join(part) or None for part in parts)
     return Decision(motor_id, "", now(), "finding", opened, None, note, *named)
 
 

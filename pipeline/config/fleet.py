@@ -56,7 +56,7 @@ class MotorSpec:
         """Analyses of the filling of a night, later ones too."""
         filled = self.file.filled_on(night)
         samples = self.file.oil_samples or self.circuit_samples
-        return tuple(one for one in samples if self.file.filled_on(one.date) == filled)
+        return tuple(sample for sample in samples if self.file.filled_on(sample.date) == filled)
 
     def measured_curve(self, night: dt.date) -> Walther | None:
         """Walther constants of a night's oil by its analyses; None: by the data sheet."""

@@ -58,7 +58,9 @@ def shaping(spec: MotorSpec, stage: Stage) -> dict[str, Any]:
         **spec.file.shaping(stage),
         "type": spec.motor_type.shaping(stage),
         "oils": {name: part for name, oil in spec.oils.items() if (part := oil.shaping(stage))},
-        "circuit_samples": [part for one in spec.circuit_samples if (part := one.shaping(stage))],
+        "circuit_samples": [
+            part for sample in spec.circuit_samples if (part := sample.shaping(stage))
+        ],
         **({"reader": reader} if reader and Stage.READING & stage else {}),
         **({ROLLER: "free"} if spec.roller_is_free and Stage.FIGURES & stage else {}),
     }

@@ -96,7 +96,9 @@ class Periods(Section):
         def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
             stretches = sorted((microseconds(begin), microseconds(end)) for begin, end in chosen)
             return tuple(
-                one for one in stretches if one[0] < night.end_us and one[1] > night.start_us
+                stretch
+                for stretch in stretches
+                if stretch[0] < night.end_us and stretch[1] > night.start_us
             )
 
         return ChosenPeriods(touching(self.training), touching(self.validation))
@@ -223,7 +225,7 @@ class MotorFile(Section):
     @property
     def oils(self) -> tuple[str, ...]:
         """Names of the oils that the motor runs on or did."""
-        return tuple(dict.fromkeys([self.oil, *(one.oil for one in self.events if one.oil)]))
+        return tuple(dict.fromkeys([self.oil, *(event.oil for event in self.events if event.oil)]))
 
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""

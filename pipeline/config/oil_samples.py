@@ -82,7 +82,7 @@ def measured_curve(
     """
     import numpy as np
 
-    known = [(one.date, curve) for one in samples if (curve := one.curve(oil)) is not None]
+    known = [(sample.date, curve) for sample in samples if (curve := sample.curve(oil)) is not None]
     if known and filled is not None and filled < known[0][0]:
         sheet = oil.oil()
         known.insert(0, (filled, (sheet.walther_a, sheet.walther_b)))

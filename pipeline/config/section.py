@@ -227,8 +227,8 @@ class Section(BaseModel):
     def in_stage(cls, stage: Stage) -> Mapping[str, bool]:
         """Whether each key is of a stage: that which it names, else its table's."""
         found = {}
-        for key, one in cls.model_fields.items():
-            own = next((own for own in one.metadata if isinstance(own, Stage)), cls.shapes)
+        for key, field in cls.model_fields.items():
+            own = next((own for own in field.metadata if isinstance(own, Stage)), cls.shapes)
             found[key] = bool(own & stage)
         return found
 

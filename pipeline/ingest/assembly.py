@@ -181,11 +181,11 @@ class Gathered:
         self.path, self.channels, self.columns = path, channels, columns
         self._time_us, self._kind = Growing(np.int64), Growing(np.int8)
         self._example: str | None = None
-        self._readings = {one: _Column() for one in columns.values()}
+        self._readings = {column: _Column() for column in columns.values()}
         self._states: dict[tuple[str, tuple[QualityValue, ...]], Growing[np.uint8]] = {
-            (one.quality_source, one.quality_good): Growing(np.uint8)
-            for one in channels.values()
-            if one.quality_source
+            (channel.quality_source, channel.quality_good): Growing(np.uint8)
+            for channel in channels.values()
+            if channel.quality_source
         }
 
     def add(
@@ -371,7 +371,7 @@ def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
         2200; ``log_reader``: a channel's quality is asked for, and there is none.
     """
     counts = (samples[name].time_us for name in file.channels)
-    parts = [placed(written_as_numbers(one, "epoch_us"), "UTC") for one in counts]
+    parts = [placed(written_as_numbers(count, "epoch_us"), "UTC") for count in counts]
     stamps, refused = judged(file.path, parts, "microseconds since 1970", file.latest_us)
     channels: dict[str, RawChannel] = {}
     for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):

@@ -64,7 +64,7 @@ def time_span(
 
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:
     """A log with the channels that are stated: they have the samples of the drain flow."""
-    stated = {name: one for name, one in channels.items() if one.constant is not None}
+    stated = {name: channel for name, channel in channels.items() if channel.constant is not None}
     if not stated:
         return log
     flow = log.channels[COUNTED]

@@ -58,11 +58,13 @@ def wanted_columns(file: LogFile) -> Columns:
     """
     logs, channels = file.logs, _channels_of(file)
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
-    qualities = dict.fromkeys(one.quality_source for one in channels.values() if one.quality_source)
+    qualities = dict.fromkeys(
+        channel.quality_source for channel in channels.values() if channel.quality_source
+    )
     return Columns(
         times,
         logs.channel_column if logs.layout == "long" else None,
-        tuple(dict.fromkeys(_column_of(file, one) for one in channels.values())),
+        tuple(dict.fromkeys(_column_of(file, channel) for channel in channels.values())),
         tuple(qualities),
         logs.motor_column or None,
     )
@@ -117,7 +119,7 @@ class RawTable:
         )
         # Of rows in layout "long": the number of the wanted name, -1 for others.
         self._names = Growing(np.int16)
-        self._sources = list(dict.fromkeys(one.source for one in file.channels.values()))
+        self._sources = list(dict.fromkeys(channel.source for channel in file.channels.values()))
         self._seen: dict[str, None] = {}  # the first names, of channels or else of motors
         self._has_motor = columns.motor is None
 
@@ -181,7 +183,7 @@ class RawTable:
                 for number, source in enumerate(self._sources)
             }
             by_source = {source: (own, stamps.time_us[own]) for source, own in rows.items()}
-            places = {name: by_source[one.source] for name, one in file.channels.items()}
+            places = {name: by_source[channel.source] for name, channel in file.channels.items()}
             channels = self._rows.channels_at(places)
             count = sum(part.time_us.size for part in channels.values())
             return raw_log(channels, count, refused, remarks)
@@ -197,7 +199,9 @@ class RawTable:
         if not names.size:
             return []
         counts = np.bincount(names + 1, minlength=len(self._sources) + 1)
-        absent = [one for one, count in zip(self._sources, counts[1:], strict=True) if not count]
+        absent = [
+            source for source, count in zip(self._sources, counts[1:], strict=True) if not count
+        ]
         if len(absent) == len(self._sources):
             how = f"no row of {absent[0]!r}; there are {self._names_seen()}"
             raise LogError("log_column_missing", self.file.path, how)

@@ -81,9 +81,9 @@ def check_fleet(
     Raises LockedError if another check is under way; StoreError if nothing can be published.
     """
     receivers = receivers_of(fleet.settings.alarms)
-    wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
+    wanted = [motor for motor in fleet.motors if not motors or motor.motor_id in motors]
     with locked(fleet.output / "look"), open_state(fleet.output) as state, one_thread():
-        open_outbox(state, [one.name for one in receivers], OF_INTRADAY)
+        open_outbox(state, [receiver.name for receiver in receivers], OF_INTRADAY)
         decisions = decisions_of(wanted, read_decisions(fleet.output))
         last = last_rows(fleet.output, [spec.motor_id for spec in wanted])
         found = list[MotorCheck]()
@@ -171,7 +171,7 @@ def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorChec
         return check
     (row,) = check.rows
     others = [one for one in circuit if one is not check and one.end_us]
-    alike = sum(200.0 * one.latest >= row["change_percent"] for one in others)
+    alike = sum(200.0 * other.latest >= row["change_percent"] for other in others)
     words = f"{alike} of {len(others)} other motors of its oil circuit have risen alike; "
     if others and alike == len(others):
         words = (
@@ -187,11 +187,11 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
 
     Raises LockedError while a check is under way; StoreError.
     """
-    specs = [one for one in fleet.motors if one.motor_id in rises]
+    specs = [motor for motor in fleet.motors if motor.motor_id in rises]
     decisions = decisions_of(specs, read_decisions(fleet.output))
     receivers = receivers_of(fleet.settings.alarms)
     with locked(fleet.output / "look"):
-        open_outbox(state, [one.name for one in receivers], OF_INTRADAY)
+        open_outbox(state, [receiver.name for receiver in receivers], OF_INTRADAY)
         for spec in specs:
             row = _settled(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
             publish_rows(state, [] if row is None else [row], _run_id(spec))
@@ -213,8 +213,8 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
     time_us, nights = microseconds(last["time"]), spec.settings.nights
     first = night_of(time_us, nights)
     published = [one for one in nights_back(state.output, BLOCKS) if one >= first]
-    begins = [one.date for one in spec.file.baseline_events]
-    begins += [one.night for one in decisions if one.kind == "baseline_reset"]
+    begins = [event.date for event in spec.file.baseline_events]
+    begins += [decision.night for decision in decisions if decision.kind == "baseline_reset"]
     if any(first < begin <= max(published, default=first) for begin in begins):
         reason = "a new baseline has begun since: no night says whether it was one"
         return row_of(spec.motor_id, time_us + 1, (RISEN, CLEAR), reason)

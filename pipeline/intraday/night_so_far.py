@@ -79,7 +79,9 @@ def read_so_far(
             logs.append(read_log(path, spec.file.logs, spec.file.channels, latest_us))
         except LogError as error:
             faults.append(error.message)
-    stamps = [one.time_us for log in logs for one in log.channels.values() if len(one.time_us)]
+    stamps = [
+        channel.time_us for log in logs for channel in log.channels.values() if len(channel.time_us)
+    ]
     if not stamps:
         raise Insufficient("", faults[-1] if faults else "no new samples since the nightly run")
     newest_us = max(int(np.median(some[-LATEST:])) for some in stamps)
@@ -207,7 +209,7 @@ def nights_before(
         raise Insufficient("", "the nightly run has not published a night yet")
     if kept.key != key_of(spec, decisions):
         raise Insufficient("", "settings, events or resets have changed: the nightly run redoes it")
-    if any(kept.last_night < one.date <= label for one in spec.file.baseline_events):
+    if any(kept.last_night < event.date <= label for event in spec.file.baseline_events):
         raise Insufficient("", "a new baseline begins")
     last = label - DAY
     layout = Layout.of(spec, last)

@@ -41,7 +41,7 @@ def _live(table: Path, _: int) -> frozenset[str]:
     checkpoints = sorted(log.glob("*.checkpoint*.parquet"))
     if checkpoints:
         since = _version(checkpoints[-1])
-        for path in (one for one in checkpoints if _version(one) == since):
+        for path in (checkpoint for checkpoint in checkpoints if _version(checkpoint) == since):
             live |= _added(path)
     for path in sorted(log.glob("*.json")):
         if _version(path) <= since:

@@ -82,8 +82,8 @@ def _names_as_of(folder: Path, _: int) -> tuple[list[str], set[str]]:
     """Names in a folder that was last changed at a time, sorted, and those of files among them."""
     with os.scandir(folder) as found:
         entries = list(found)
-    files = {one.name for one in entries if one.is_file(follow_symlinks=False)}
-    return sorted(one.name for one in entries), files
+    files = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
+    return sorted(entry.name for entry in entries), files
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:

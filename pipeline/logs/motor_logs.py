@@ -174,7 +174,7 @@ class MotorLogs:
 
     @property
     def _sound(self) -> set[str]:
-        found = (one for one in self.files.values() if one.status == "ok")
+        found = (file for file in self.files.values() if file.status == "ok")
         return {one.sha256[:HASH_LENGTH] for one in found if one.sha256}
 
     def of_night(self, label: dt.date) -> list[str]:

@@ -126,8 +126,8 @@ def _changed(before: Mapping[Key, Value], after: Mapping[Key, Value]) -> dict[Ke
     return changed | dict.fromkeys(before.keys() - after.keys())
 
 
-_LOG_COLUMNS = tuple(one.name for one in fields(FileRecord))
-_NIGHT_COLUMNS = ("night", *(one.name for one in fields(NightRecord)))
+_LOG_COLUMNS = tuple(field.name for field in fields(FileRecord))
+_NIGHT_COLUMNS = ("night", *(field.name for field in fields(NightRecord)))
 
 
 def read_processed(state: State, motor_id: str) -> ProcessedLogs:

@@ -154,7 +154,7 @@ def _signs(
     if left_of_range > NEAR:
         return 0
     others = [one for one in COLUMNS if one not in (name, _difference_of(name))]
-    return is_exact + is_related + all(_is_usual(one, usual, now) for one in others)
+    return is_exact + is_related + all(_is_usual(other, usual, now) for other in others)
 
 
 def _beyond(name: str, value: float, usual: Mapping[str, float]) -> float:

@@ -99,7 +99,7 @@ def fit_night(
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, budget = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
-            errors = [statistics.error_of(one.stated.training.coefficients) for one in modes]
+            errors = [statistics.error_of(mode.stated.training.coefficients) for mode in modes]
             modes = with_residuals(spec, statistics, modes, errors)
         with _timed(seconds, "fit_s"):
             rows |= fit_rows(spec, night.date, statistics, modes, budget)
@@ -162,8 +162,8 @@ def clean_channels(
     stamps = SharedStamps()
     # Each is taken out when it is its turn.
     cleaned = {
-        name: clean_channel(channels.pop(name), one, night.start_us, stamps)
-        for name, one in rules.items()
+        name: clean_channel(channels.pop(name), rule, night.start_us, stamps)
+        for name, rule in rules.items()
     }
     counted = tuple(
         Quality(

@@ -90,14 +90,14 @@ def _smoothed(
 
 def residual_test_rows(residuals: Sequence[PartResiduals], period_s: float) -> Iterator[Row]:
     """Rows of `residual_tests`: a test with its correlations and their bounds at each lag."""
-    for one in residuals:
-        for (name, of), test in _tests(one.analysis):
+    for residual in residuals:
+        for (name, of), test in _tests(residual.analysis):
             yield {
-                "part": one.part,
-                "is_smoothed": one.smoothed,
+                "part": residual.part,
+                "is_smoothed": residual.smoothed,
                 "test": name,
                 "input": of,
-                "n": one.analysis.n,
+                "n": residual.analysis.n,
                 **_columns_of(test, period_s),
             }
 
@@ -105,7 +105,7 @@ def residual_test_rows(residuals: Sequence[PartResiduals], period_s: float) -> I
 def residual_columns(residuals: Sequence[PartResiduals]) -> Row:
     """Columns of `fits`: effective numbers of what was fitted."""
     # The analysis of what was fitted comes last.
-    fitted = {one.part: one.analysis.n_effective for one in residuals}
+    fitted = {residual.part: residual.analysis.n_effective for residual in residuals}
     return {f"n_{part}_effective": fitted[part] for part in (TRAINING, VALIDATION)}
 
 

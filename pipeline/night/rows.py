@@ -72,8 +72,8 @@ def fit_rows(
     shared = {
         "window_start": utc(samples.time_us[0]),
         "window_end": utc(samples.time_us[-1]),
-        "n_training": sum(one.n for one in statistics.blocks if one.part == TRAINING),
-        "n_validation": sum(one.n for one in statistics.blocks if one.part == VALIDATION),
+        "n_training": sum(block.n for block in statistics.blocks if block.part == TRAINING),
+        "n_validation": sum(block.n for block in statistics.blocks if block.part == VALIDATION),
         **reference_columns(spec),
     }
     stated = spec.stated.motor(night, spec.file.flushing.mode)

@@ -104,7 +104,7 @@ PREDICTION_POINTS = 720
 def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
     """Rows of `quality`: every rule that was applied, those that refused nothing too."""
     own = {"motor_id": motor_id, "night": night}
-    names = [one.name for one in fields(Quality)]
+    names = [field.name for field in fields(Quality)]
     return [own | {name: getattr(one, name) for name in names} for one in found]
 
 
@@ -127,22 +127,24 @@ def block_rows(
         "n": [block.n for block in blocks],
         "factor": statistics.factors[:, *upper].tolist(),
         "reversed_percent": [
-            100.0 * np.count_nonzero(samples.speed_rpm[one] < 0) / block.n
-            for one, block in zip(rows, blocks, strict=True)
+            100.0 * np.count_nonzero(samples.speed_rpm[row] < 0) / block.n
+            for row, block in zip(rows, blocks, strict=True)
         ],
     }
     pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
     for name, unit, parts, edges in (
-        ("pressure", "bar", (np.abs(pressure[one]) for one in rows), PRESSURE_EDGES_BAR),
-        ("temperature", "c", (temperature[one] for one in rows), TEMPERATURE_EDGES_C),
-        ("speed", "rpm", (speed[one] for one in rows), SPEED_EDGES_RPM),
+        ("pressure", "bar", (np.abs(pressure[row]) for row in rows), PRESSURE_EDGES_BAR),
+        ("temperature", "c", (temperature[row] for row in rows), TEMPERATURE_EDGES_C),
+        ("speed", "rpm", (speed[row] for row in rows), SPEED_EDGES_RPM),
     ):
         columns |= _spread(name, unit, parts, edges)
     if spec.settings.model.two_sided:
         charge = charge_over_case_bar(spec.settings.model, samples)
-        columns["mean_charge_over_case_bar"] = [float(charge[one].mean()) for one in rows]
+        columns["mean_charge_over_case_bar"] = [float(charge[row].mean()) for row in rows]
     if viscosity is not None:
-        columns["viscosity_ratio"] = [viscosity.at(one) for one in columns["mean_temperature_c"]]
+        columns["viscosity_ratio"] = [
+            viscosity.at(column) for column in columns["mean_temperature_c"]
+        ]
     shared = {
         "motor_id": spec.motor_id,
         "night": night,

@@ -79,7 +79,7 @@ def night_statistics(
         loss=settings.estimation.loss,
     )
     return NightStatistics(
-        **{one.name: getattr(made, one.name) for one in fields(made)},
+        **{field.name: getattr(made, field.name) for field in fields(made)},
         samples=samples,
         conditions=conditions,
         model_hash=model_hash(spec, motor, night.date),

@@ -232,7 +232,7 @@ def _joined(parts: list[Part], settings: Settings) -> Prepared:
     frames, refused, notes = zip(*parts, strict=True)
     rows = [row for of_night in refused for row in of_night]
     return Prepared(
-        pl.concat([one for one in frames if one.height] or [frames[0]]),
+        pl.concat([frame for frame in frames if frame.height] or [frames[0]]),
         pl.DataFrame(rows, schema=REFUSED, orient="row"),
         tuple(filter(None, notes)),
         settings,

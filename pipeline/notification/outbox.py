@@ -171,9 +171,9 @@ def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]
     moment = dt.datetime.fromisoformat
     with read_state_file(output) as state:
         return tuple(
-            Backlog(one.label, moment(begin), n, since and moment(since), fault or None)
-            for one in receivers
-            for begin, fault, n, since in state.rows(query, ALARMS.name, one.name)
+            Backlog(receiver.label, moment(begin), n, since and moment(since), fault or None)
+            for receiver in receivers
+            for begin, fault, n, since in state.rows(query, ALARMS.name, receiver.name)
         )
 
 

@@ -86,7 +86,8 @@ def _spreads(motor: Motor, found: Search) -> Iterator[str]:
     finals = np.array([start.final for start in found.at_minimum])
     thetas = coefficients_at(motor, finals)
     named = [
-        (one.name, one.unit, of) for one, of in zip(free_parameters(motor), finals.T, strict=True)
+        (parameter.name, parameter.unit, of)
+        for parameter, of in zip(free_parameters(motor), finals.T, strict=True)
     ]
     named += [
         (path.coefficient_name, path.coefficient_unit, of)

@@ -196,7 +196,7 @@ def _make_nights(
 def _state_of(rows: Mapping[str, pl.DataFrame], samples: Iterable[Path]) -> str:
     """What a night is made from: its rows, and the files of its samples."""
     sums = [(name, int(of.hash_rows().sum())) for name, of in rows.items()]
-    stamps = [(one.stat().st_size, one.stat().st_mtime_ns) for one in samples]
+    stamps = [(sample.stat().st_size, sample.stat().st_mtime_ns) for sample in samples]
     return hashlib.sha256(f"{sums} {stamps}".encode()).hexdigest()[:16]
 
 
@@ -214,7 +214,7 @@ def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program:
     """Make the fleet's page, the motors' pages, and what they share."""
     ids = [spec.motor_id for spec in fleet.motors]
     motors = dict(zip(ids, motor_histories(fleet.output, ids), strict=True))
-    states = {one.motor_id: one for one in current_states(fleet.output, ids)}
+    states = {state.motor_id: state for state in current_states(fleet.output, ids)}
     specs = {spec.motor_id: spec for spec in fleet.motors}
     rows = fleet_rows(list(motors.values()), specs, states)
     by_id = {row.state.motor_id: row for row in rows}
@@ -236,7 +236,7 @@ def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program:
         motor_id = spec.motor_id
         changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
         values = _motor_values(spec, motors[motor_id], by_id[motor_id], changes)
-        said = [one for one in decisions if one.motor_id == motor_id]
+        said = [decision for decision in decisions if decision.motor_id == motor_id]
         page = page_of("motor.html", facts=facts, decisions=said, **values)
         folder.write(f"motors/{motor_id}.html", page.encode())
     counts = [(code, found[code]) for code in ORDER if found[code]]
@@ -286,7 +286,7 @@ def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
 def _program_hash() -> str:
     """Hash of the program's own files: any of them may shape what pages say."""
     package = FOLDER.parent
-    files = sorted(one for one in package.rglob("*") if one.is_file() and one.suffix != ".pyc")
+    files = sorted(path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc")
     found = hashlib.sha256("".join(map(version, ("jinja2", "plotly"))).encode())
     for file in files:
         found.update(file.read_bytes())

@@ -98,7 +98,7 @@ def watch_chart(
         motor.stamps,
         _shown(panels),
         tuple(motor.baselines),
-        tuple(sorted(marks, key=lambda one: one.night)),
+        tuple(sorted(marks, key=lambda mark: mark.night)),
     )
 
 
@@ -137,7 +137,7 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
     places = path_places([*declared, *paths])
     courses = {path: motor.course(GAP + path) for path in sorted(paths, key=places.__getitem__)}
     lines = tuple(_styled(plain(path), places[path], *of) for path, of in courses.items())
-    ends = _ends([np.zeros(1), *(one.value for one in lines)], 5.0)
+    ends = _ends([np.zeros(1), *(line.value for line in lines)], 5.0)
     return Panel("Change of the gap, night by night", "%", lines, ends, 150)
 
 
@@ -170,9 +170,9 @@ def _evidence_panel(motor: MotorHistory) -> Panel | None:
 
 
 def _events(events: Iterable[Event]) -> Iterable[Mark]:
-    for one in events:
-        note = f": {one.note}" if one.note else ""
-        yield Mark(one.date, f"{plain(one.kind)}{note}", GREY)
+    for event in events:
+        note = f": {event.note}" if event.note else ""
+        yield Mark(event.date, f"{plain(event.kind)}{note}", GREY)
 
 
 def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
@@ -199,7 +199,7 @@ def _shown(panels: Iterable[Panel | None]) -> tuple[Panel, ...]:
     """The panels that have a line with a value, with these lines alone."""
     found = []
     for panel in panels:
-        known = [one for one in panel.lines if np.isfinite(one.value).any()] if panel else []
+        known = [line for line in panel.lines if np.isfinite(line.value).any()] if panel else []
         if panel and known:
             found.append(replace(panel, lines=tuple(known)))
     return tuple(found)

@@ -47,7 +47,7 @@ def fleet_rows(
 ) -> list[FleetRow]:
     """All motors, the most urgent first."""
     span = fleet_span(motors)
-    rows = [_row(one, specs[one.motor_id], states[one.motor_id], span) for one in motors]
+    rows = [_row(motor, specs[motor.motor_id], states[motor.motor_id], span) for motor in motors]
     return sorted(rows, key=lambda row: urgency(row.state))
 
 

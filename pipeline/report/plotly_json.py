@@ -84,7 +84,7 @@ def script_json(document: Mapping[str, Any]) -> str:
 
 def numbers(values: Array) -> list[float | None]:
     """Numbers as JSON has them, with six digits; null where there is none."""
-    return [float(f"{one:.6g}") if math.isfinite(one) else None for one in values.tolist()]
+    return [float(f"{value:.6g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def safe(name: str) -> str:
@@ -107,7 +107,7 @@ def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
     }
     if line.lower is not None and line.upper is not None:
         ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
-        trace["error_y"] = {name: numbers(one) for name, one in ends.items()}
+        trace["error_y"] = {name: numbers(end) for name, end in ends.items()}
         trace["error_y"] |= {"type": "data", "symmetric": False, "width": 0, "thickness": 2}
         trace["error_y"]["color"] = f"{line.colour}66"
     return trace

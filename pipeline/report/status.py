@@ -43,7 +43,7 @@ class FleetStatus:
     @property
     def newest_sample(self) -> dt.datetime | None:
         """Newest sample of all motors."""
-        return max(filter(None, (one.row["last_sample"] for one in self.motors)), default=None)
+        return max(filter(None, (motor.row["last_sample"] for motor in self.motors)), default=None)
 
 
 def fleet_status(
@@ -81,7 +81,9 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
     with read_state_file(output) as state:
         stays, gone = read_stays(state, motor_ids)
     decisions = read_decisions(output)
-    excluded = {(one.motor_id, one.night) for one in decisions if one.kind == "excluded"}
+    excluded = {
+        (decision.motor_id, decision.night) for decision in decisions if decision.kind == "excluded"
+    }
     failures = {
         motor_id: {
             label: why

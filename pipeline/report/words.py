@@ -44,7 +44,7 @@ def candidates(causes: Sequence[Mapping[str, Any]] | None) -> list[tuple[str, fl
     >>> candidates([{"cause": "balance_sleeve", "probability": 0.93}])
     [('balance sleeve', 0.93)]
     """
-    return [(cause_words(one["cause"]), one["probability"]) for one in causes or ()]
+    return [(cause_words(cause["cause"]), cause["probability"]) for cause in causes or ()]
 
 
 def of_model(model_error_percent: float) -> str:

@@ -95,7 +95,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 claim_output(state, fleet)
                 restore_decisions(state)
                 take_over_renamed(state, staging, fleet)
-                open_outbox(state, [one.name for one in receivers])
+                open_outbox(state, [receiver.name for receiver in receivers])
                 with open_workers(fleet.execution, folders) as workers:
                     result = _run(request, staging, progress, heartbeat, workers, state)
                 settle_intraday(fleet, state)
@@ -181,7 +181,7 @@ def _run(
     with interrupts_held() as came:
         alarms = publish_trends(publisher, trends)
         publish_whole_tables(publisher, fleet)
-        failures = {motor_id: loss for one in trends for motor_id, loss in one.failures.items()}
+        failures = {motor_id: loss for trend in trends for motor_id, loss in trend.failures.items()}
         outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]
         if any(one.error_code == "store_read" for one in outcomes):
             # The file that a task could not read is named; the next run makes it anew.

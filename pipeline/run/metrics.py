@@ -74,10 +74,10 @@ def metrics_text(
             if one.row["last_sample"] is not None
         ],
         ("standing_failures", "Nights and logs of a motor that failed and are as they were"): [
-            ({"motor": one.motor_id}, float(one.n_standing)) for one in outcomes
+            ({"motor": outcome.motor_id}, float(outcome.n_standing)) for outcome in outcomes
         ],
         ("undelivered_changes", "Changes of state that are not delivered to a receiver"): [
-            ({"receiver": one.receiver}, float(one.undelivered)) for one in backlogs
+            ({"receiver": backlog.receiver}, float(backlog.undelivered)) for backlog in backlogs
         ],
         ("stage_duration_seconds", "Wall-clock time of the last run by stage"): [
             ({"stage": stage.removesuffix("_s")}, taken)
@@ -101,12 +101,12 @@ def intraday_metrics_text(fleet: Fleet, checks: Sequence[MotorCheck]) -> str:
         fleet,
         {
             ("intraday_state", "1 for the state of a motor within the day, 0 for the others"): [
-                ({"motor": one.motor_id, "state": state}, float(one.state == state))
-                for one in checks
+                ({"motor": check.motor_id, "state": state}, float(check.state == state))
+                for check in checks
                 for state in (RISEN, CLEAR, NOT_JUDGED)
             ],
             ("intraday_judged_timestamp_seconds", "End of the samples that were judged"): [
-                ({"motor": one.motor_id}, one.end_us / 1e6) for one in checks if one.end_us
+                ({"motor": check.motor_id}, check.end_us / 1e6) for check in checks if check.end_us
             ],
         },
     )

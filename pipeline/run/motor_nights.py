@@ -48,12 +48,12 @@ def peak_memory_mib() -> float:
 
 def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
     """A record of processed logs that knows nothing of the logs and nights that failed."""
-    nights = {label: one for label, one in processed.nights.items() if one.status != FAILED}
+    nights = {label: night for label, night in processed.nights.items() if night.status != FAILED}
     failed = processed.nights.keys() - nights.keys()
     files = {
-        name: one
-        for name, one in processed.files.items()
-        if one.status == "ok" and not labels_of(one) & failed
+        name: file
+        for name, file in processed.files.items()
+        if file.status == "ok" and not labels_of(file) & failed
     }
     return ProcessedLogs(files, nights)
 
@@ -90,7 +90,9 @@ class MotorNights:
             )
         self.abandoned = self._without_log()
         self.logs.before = {
-            name: one for name, one in before.files.items() if not labels_of(one) & self.abandoned
+            name: file
+            for name, file in before.files.items()
+            if not labels_of(file) & self.abandoned
         }
         self.nights_before = before.nights
         self.form = replace(self.spec, roller_is_free=ROLLER in self.settings_before)
@@ -202,7 +204,7 @@ class MotorNights:
             return []
         told = self.logs.present() | self.records.keys()
         # A file that cannot be read may stand far off: its night is a guess.
-        readable = [one for one in self.logs.files.values() if one.status == "ok"]
+        readable = [file for file in self.logs.files.values() if file.status == "ok"]
         certain = {label for record in readable for label in labels_of(record)}
         certain |= {label for label, one in self.records.items() if one.status != FAILED}
         between = {
@@ -217,7 +219,9 @@ class MotorNights:
         """The decision of all nights that the motor has by now, whichever were asked for."""
         if self.spec.settings.model.roller_scale == "fixed":
             return False
-        told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
+        told = {
+            label: record.tells_roller for label, record in self.records.items()
+        } | self.first_told
         begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)
 
@@ -228,8 +232,8 @@ class MotorNights:
             return set()
         failed = {
             label
-            for label, one in self.task.processed.nights.items()
-            if one.status == FAILED and self.task.wants(label)
+            for label, night in self.task.processed.nights.items()
+            if night.status == FAILED and self.task.wants(label)
         }
         return failed - self.logs.present()
 
@@ -244,11 +248,11 @@ class MotorNights:
 
     def _failed_logs(self) -> dict[str, FileRecord]:
         """Logs that cannot be read, and that no night fails with."""
-        staying = {label for label, one in self.records.items() if one.stays}
+        staying = {label for label, record in self.records.items() if record.stays}
         return {
-            name: one
-            for name, one in self.logs.files.items()
-            if one.status == "failed" and labels_of(one) <= staying
+            name: file
+            for name, file in self.logs.files.items()
+            if file.status == "failed" and labels_of(file) <= staying
         }
 
     def _why_nothing(self, status: str) -> str | None:

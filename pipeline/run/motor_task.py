@@ -192,7 +192,7 @@ class _Making(MotorNights):
             return
         self.form = replace(self.spec, roller_is_free=not self.form.roller_is_free)
         self.hashes = SettingsHashes(self.form)
-        for label in sorted(label for label, one in self.records.items() if one.status == OK):
+        for label in sorted(label for label, record in self.records.items() if record.status == OK):
             outcome = self.done.get(label) or self.stored.outcome(label)
             if outcome.rows["fits"]:
                 self.first_told.setdefault(label, self.records[label].tells_roller)
@@ -232,14 +232,14 @@ class _Making(MotorNights):
 
     def _usual(self, label: dt.date) -> dict[str, float]:
         """Medians of the last fitted nights of the baseline period; empty where they are few."""
-        begins = (one.date for one in self.spec.file.baseline_events if one.date <= label)
+        begins = (event.date for event in self.spec.file.baseline_events if event.date <= label)
         since = max(begins, default=dt.date.min)
         nights = [
             one
             for one, record in sorted(self.records.items())
             if since <= one < label and record.status == OK
         ][-USUAL_NIGHTS:]
-        made = [one for one in nights if one in self.done and self.done[one].tables is None]
+        made = [night for night in nights if night in self.done and self.done[night].tables is None]
         rows = [row for one in made for row in self.done[one].rows["nights"]]
         if published := set(nights).difference(made):
             columns = ("night", *COLUMNS.values())

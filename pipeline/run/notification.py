@@ -38,8 +38,13 @@ def _states(fleet: Fleet) -> list[dict[str, str]]:
     """State of each motor for a summary, the most urgent first."""
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
     return [
-        {"motor_id": one.motor_id, "state": one.state, "sentence": one.why, "advice": one.advice}
-        for one in sorted(states, key=urgency)
+        {
+            "motor_id": state.motor_id,
+            "state": state.state,
+            "sentence": state.why,
+            "advice": state.advice,
+        }
+        for state in sorted(states, key=urgency)
     ]
 
 

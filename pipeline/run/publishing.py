@@ -76,19 +76,19 @@ MOTORS_A_TREND_TASK = 32
 def publish_motors(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
     """Publish what the motors' tasks have staged; returns how many nights."""
     state = publisher.state
-    touched = {one.motor_id: one.changed_from for one in outcomes}
+    touched = {outcome.motor_id: outcome.changed_from for outcome in outcomes}
     note_touched(state, ((name, first) for name, first in touched.items() if first))
 
     def published() -> None:
-        for one in outcomes:
-            write_change(state, one.motor_id, one.change)
+        for outcome in outcomes:
+            write_change(state, outcome.motor_id, outcome.change)
         if any(touched.values()):
             state.set_meta("latest", "")
 
     # Of a motor without a new night there may be the row of a log that is of none.
-    staged = [one.motor_id for one in outcomes if one.finished]
+    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
     publisher.nights("nights", NIGHT_TABLES, staged, published)
-    return sum(len(one.nights) for one in outcomes)
+    return sum(len(outcome.nights) for outcome in outcomes)
 
 
 def make_trends(
@@ -164,7 +164,7 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
     motor_ids = sorted(spec.motor_id for spec in fleet.motors)
     published = _published_latest(output)
     decisions = read_decisions(output)
-    own = {name for one in fleet.motors for name in (one.motor_id, one.file.formerly)}
+    own = {name for motor in fleet.motors for name in (motor.motor_id, motor.file.formerly)}
     gone = _gone_motors(state, published, own, decisions)
     made_of = f"{len(decisions)} decisions"
     there = dict(published.select("motor_id", pl.col("state") == REMOVED).rows())

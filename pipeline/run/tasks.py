@@ -73,7 +73,9 @@ class RunRequest:
         """Nights of a motor that a person decided on."""
         decisions = read_decisions(self.fleet.output)
         return frozenset(
-            one.night for one in decisions if (one.motor_id, one.kind) == (spec.motor_id, kind)
+            decision.night
+            for decision in decisions
+            if (decision.motor_id, decision.kind) == (spec.motor_id, kind)
         )
 
 

@@ -95,7 +95,9 @@ def _lines(name: str) -> Iterator[list[str]]:
 # In the order of the rules; those behind `transport_delay` are of the time base, where all channels
 # have come together, or of the night's windows.
 QUALITY_REASONS = {name: Reason(*words) for name, *words in _lines("quality_reasons.csv")}
-_COLUMNS = {name: list(lines) for name, lines in groupby(_lines("columns.csv"), lambda one: one[0])}
+_COLUMNS = {
+    name: list(lines) for name, lines in groupby(_lines("columns.csv"), lambda line: line[0])
+}
 
 
 def _table(name: str, row: str, copied: tuple[Column, ...] = ()) -> Table:
@@ -112,7 +114,7 @@ LATEST = _table(
     "latest",
     "a motor, as of the last run: its newest night, and where that has no figure the newest night "
     "with samples",
-    tuple(one for one in NIGHTS.columns if one.name != "run_id"),
+    tuple(column for column in NIGHTS.columns if column.name != "run_id"),
 )
 FITS = _table("fits", "a motor, a night, a flushing mode")
 PARAMETERS = _table("parameters", "a fit, a parameter")
@@ -131,8 +133,12 @@ RUN_MOTORS = _table("run_motors", "a motor in a run")
 DATA_DICTIONARY = _table("data_dictionary", "a column of a table")
 
 # Columns of `nights` that a motor's own night fills; the others follow from all of its nights.
-OF_NIGHT = tuple(one.name for one in NIGHTS.columns if one.group in ("what", "data", "fit"))
-OF_TRENDS = tuple(one.name for one in NIGHTS.columns if one.name not in (*OF_NIGHT, "run_id"))
+OF_NIGHT = tuple(
+    column.name for column in NIGHTS.columns if column.group in ("what", "data", "fit")
+)
+OF_TRENDS = tuple(
+    column.name for column in NIGHTS.columns if column.name not in (*OF_NIGHT, "run_id")
+)
 # Columns of what a row of `alarms` says; the others are its key, or follow from it.
 ALARM_CONTENT = ("from_state", "to_state", "cause", "sentence", "closed_as")
 

@@ -170,7 +170,7 @@ def _forecast(
         yield from forecasts(spec)
         return
     sizes = {
-        label: sum(one.size for one in records.values() if label in labels_of(one))
+        label: sum(record.size for record in records.values() if label in labels_of(record))
         for label in nights
     }
     small = [label for label in nights if sizes[label] <= LARGEST_LOG_BYTES]
@@ -249,7 +249,7 @@ def _look_into(
 def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
     """Faults of channels of which a rule refuses most samples."""
     for reason, how in HOW_TO_MEND.items():
-        shares = {one.channel: one.refused_by.get(reason, 0.0) for one in channels}
+        shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
         if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
             share = 100 * max(shares.values())
             yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"

@@ -119,7 +119,9 @@ def unused_qualities(path: Path, file: MotorFile) -> Iterator[str]:
     """Yield the channels of which the log has a quality that the config does not name."""
     with suppress(LogError):
         signals = signals_of(sniff(path))
-        qualities = {one.keys["source"]: one.quality for one in signals.columns if one.quality}
+        qualities = {
+            column.keys["source"]: column.quality for column in signals.columns if column.quality
+        }
         for name, channel in file.channels.items():
             quality = qualities.get(channel.source)
             if quality is not None and not channel.quality_source:
@@ -145,7 +147,7 @@ def column_changes(spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]
 
     if last < 1 or not (columns(0) and columns(last)):
         return
-    for source in dict.fromkeys(one.source for one in spec.file.channels.values()):
+    for source in dict.fromkeys(channel.source for channel in spec.file.channels.values()):
         was, now = (columns(at).get(source) for at in (0, last))
         if was == now:
             continue
@@ -173,7 +175,7 @@ def changed_readings(
 
     The first log is that since the last event.
     """
-    since = max((one.date for one in spec.file.baseline_events), default=dt.date.min)
+    since = max((event.date for event in spec.file.baseline_events), default=dt.date.min)
     dated = [one for one in dated if one[0] >= since]
 
     def means(at: int) -> dict[str, float]:

@@ -182,7 +182,7 @@ def defaults_of(fleet_file: Path) -> Document:
 
 
 def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
-    channels = {name: dict(one.keys) for name, one in motor.channels.items()}
+    channels = {name: dict(channel.keys) for name, channel in motor.channels.items()}
     machine = {"motor_type": motor_type, "oil": oil}
     return _flat({**machine, "logs": motor.logs, "channels": channels})
 
@@ -232,8 +232,8 @@ def observe(motor: ProposedMotor) -> Observed:
     """Look at the ends of a motor's logs, and into the newest where every unit is known."""
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
     channels: Any = {
-        name: Channel.model_validate({"unit": canonical_unit(name), **one.keys})
-        for name, one in motor.channels.items()
+        name: Channel.model_validate({"unit": canonical_unit(name), **channel.keys})
+        for name, channel in motor.channels.items()
     }
     zone, newest = ZoneInfo(logs.time_zone), motor.files[-1]
     try:
@@ -242,7 +242,7 @@ def observe(motor: ProposedMotor) -> Observed:
             for path in sorted({motor.files[0], *motor.files[-_MOST_FILES:]})
         )
         spans = tuple((utc(a).astimezone(zone), utc(b).astimezone(zone)) for a, b in ends)
-        is_known = all(one.unit for one in motor.channels.values())
+        is_known = all(channel.unit for channel in motor.channels.values())
         if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
             return Observed(spans)
         found = read_log(newest, logs, channels).channels
@@ -253,7 +253,7 @@ def observe(motor: ProposedMotor) -> Observed:
     sizes = {name: np.abs(one.value[np.isfinite(one.value)]) for name, one in found.items()}
     if "speed" in sizes:
         sizes["speed"] = sizes["speed"][sizes["speed"] > _STANDSTILL_RPM]
-    typical = {name: float(np.median(one)) for name, one in sizes.items() if len(one)}
+    typical = {name: float(np.median(size)) for name, size in sizes.items() if len(size)}
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
         typical["pressure_difference"] = abs(high - low)

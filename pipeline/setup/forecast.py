@@ -47,7 +47,7 @@ def forecasts(
         status, reason, row = _forecast(spec, logs, label)
         since = _era(spec, label)
         nights = [one for one in fitted if one >= since][-USUAL_NIGHTS:]
-        usual, now = usual_readings(fitted[one] for one in nights), readings_of(row)
+        usual, now = usual_readings(fitted[night] for night in nights), readings_of(row)
         if usual and now and (why := column_change(spec, usual, now)):
             status, reason = FAILED, why
         if status == OK:
@@ -64,7 +64,7 @@ def _forecast(
     broken = [one for name in names if (one := logs.files[name]).status != "ok"]
     if broken:
         return FAILED, broken[0].message or "", {}
-    read = [one for one in contents if one is not None]
+    read = [content for content in contents if content is not None]
     channels = slice_night(read, here, reaches_us(spec))
     if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
         return NO_NEW_DATA, "no log covers this night", {}

@@ -152,7 +152,7 @@ def _counted(text: str) -> str:
 def _is_one_motor(counted: Parts, own: Mapping[Parts, Sequence[Path]], seen: Seen) -> bool:
     """True if files that differ by a count are one motor's; it is asked where that is not clear."""
     columns = [seen.columns_of(group[-1]) for group in own.values()]
-    if None in columns or any(one != columns[0] for one in columns):
+    if None in columns or any(column != columns[0] for column in columns):
         return False
     ends = dict.fromkeys(path for group in own.values() for path in (group[0], group[-1]))
     spans = [seen.span_of(path) for path in ends]
@@ -183,7 +183,9 @@ def _patterns(
     others = [path.relative_to(root).parts for path in files if path not in own]
     for star in ("*", "[0-9]*"):
         parts = [star.join(part) for part in pieces]
-        if not any(len(one) == len(parts) and all(map(fnmatchcase, one, parts)) for one in others):
+        if not any(
+            len(other) == len(parts) and all(map(fnmatchcase, other, parts)) for other in others
+        ):
             return ("/".join(parts),)
     return tuple(escape(path.relative_to(root).as_posix()) for path in own)
 

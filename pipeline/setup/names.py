@@ -213,7 +213,7 @@ def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Grou
     """
     left, found = list(names), list[Group]()
     while True:
-        best = max(_candidates(left), key=lambda one: _fit(one, units), default=None)
+        best = max(_candidates(left), key=lambda candidate: _fit(candidate, units), default=None)
         if best is None or _fit(best, units)[0] < FEWEST_CHANNELS:
             return found, left
         found.append(best)
@@ -249,6 +249,8 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
 
 def _fit(group: Group, units: Mapping[str, str]) -> tuple[int, int]:
     """Channels told once less those told again, then the length of what is common."""
-    told = (meaning_of(one, units.get(name, "")).channel for name, one in group.signals.items())
+    told = (
+        meaning_of(signal, units.get(name, "")).channel for name, signal in group.signals.items()
+    )
     counts = Counter(channel for channel in told if channel)
     return 2 * len(counts) - counts.total(), len(group.name)

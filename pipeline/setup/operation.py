@@ -79,7 +79,7 @@ def swapped(samples: Samples) -> Iterator[str]:
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
-    if drives and np.ptp(q) > 0 and all(_rank_correlation(one, q) < _FOLLOWS for one in drives):
+    if drives and np.ptp(q) > 0 and all(_rank_correlation(drive, q) < _FOLLOWS for drive in drives):
         yield f"the drain flow follows neither pressure nor the oil's viscosity: {SWAPPED}"
 
 

@@ -80,7 +80,11 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
 
     def columns_of(path: Path) -> object:
         table = table_of(path)
-        return table and (table.logs["format"], table.times, [one.name for one in table.columns])
+        return table and (
+            table.logs["format"],
+            table.times,
+            [column.name for column in table.columns],
+        )
 
     seen = Seen(columns_of, lambda path: _span(path, table_of(path)), asked.ask)
     for kind in kinds_of(files, root, seen):
@@ -98,7 +102,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
             faults.append(f"no_motor: {kind.patterns[0]}: {_why_no_motor(table)}")
     if unread == len(faults) > 0 and not motors:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
-    asked.require_known(one.motor_id for one in motors)
+    asked.require_known(motor.motor_id for motor in motors)
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
     unneeded = tuple(asked.unneeded)
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
@@ -117,15 +121,20 @@ def _why_no_log(folder: Path) -> str:
 
 def _why_no_motor(table: Table) -> str:
     """Why nothing of a log is a motor's."""
-    for one in table.columns:
-        cell = next(iter(one.filled), "")
+    for column in table.columns:
+        cell = next(iter(column.filled), "")
         parts = cell.split(maxsplit=1)
-        if one.kind == "text" and len(parts) == 2 and is_number(parts[0]) and unit_named(parts[1]):
+        if (
+            column.kind == "text"
+            and len(parts) == 2
+            and is_number(parts[0])
+            and unit_named(parts[1])
+        ):
             return (
-                f"its cells carry units ({one.name}: {cell!r}), which no number has: have it "
+                f"its cells carry units ({column.name}: {cell!r}), which no number has: have it "
                 "exported without them, the unit in the header"
             )
-    columns = ", ".join(one.name for one in table.columns[:_SHOWN])
+    columns = ", ".join(column.name for column in table.columns[:_SHOWN])
     return f"its columns are no motor's: {columns}"
 
 
@@ -213,7 +222,7 @@ def _grouped(
     table: Table, logs: Mapping[str, Any], kind: Kind, log: str, asked: Asked
 ) -> Iterator[ProposedMotor]:
     """The motors whose columns, tags or fields there are; `log` names what none of them does."""
-    by_name = {one.name: one for one in table.columns}
+    by_name = {column.name: column for column in table.columns}
     further = cells_of(table)
     groups, left = groups_of(list(by_name), {name: one.unit for name, one in by_name.items()})
     asked.unused |= dict.fromkeys(left if groups else ())
@@ -223,7 +232,7 @@ def _grouped(
         motor_id = _plain(motor)
         chooser = Chooser(group, by_name, table.marks, motor, motor_id, asked, further, shared)
         channels = dict(chooser.places())
-        used = {one.name for one in channels.values()}
+        used = {channel.name for channel in channels.values()}
         asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)
         yield ProposedMotor(group.name, chooser.motor_id, logs, channels, kind.files)
 

@@ -74,13 +74,13 @@ class Asked:
         Logs that read alike have one answer.
         """
         logs = dict(table.logs)
-        for one in table.questions:
-            is_other = self._asked.get(one.key, one.choices) != one.choices
-            key = f"{one.key} of {self.log}" if is_other else one.key
-            answer = self.ask(key, f"{self.log}: {one.text}", one.choices)
+        for question in table.questions:
+            is_other = self._asked.get(question.key, question.choices) != question.choices
+            key = f"{question.key} of {self.log}" if is_other else question.key
+            answer = self.ask(key, f"{self.log}: {question.text}", question.choices)
             if answer is not None:
-                logs[one.key] = answer
-                if one.key == "decimal" and answer != table.marks.decimal:
+                logs[question.key] = answer
+                if question.key == "decimal" and answer != table.marks.decimal:
                     logs["thousands"] = table.marks.decimal
         if "time_format" in self.answers and "%" in logs.get("time_format", ""):
             # Other logs of the motor may be written as the answer says.

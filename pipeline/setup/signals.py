@@ -26,7 +26,7 @@ def _of_columns(table: Table) -> Table:
     """Return the columns that may be channels of a log with a row a moment."""
     columns = with_qualities(table.columns) if table.logs["format"] != "mcap" else table.columns
     return replace(
-        table, columns=tuple(one for one in columns if one.kind in ("number", "nothing"))
+        table, columns=tuple(column for column in columns if column.kind in ("number", "nothing"))
     )
 
 
@@ -34,11 +34,11 @@ def _of_tags(table: Table) -> Table | None:
     """Return the channels of a log with a row a sample and names in a column, or None."""
     columns = [one for one in table.columns if not quality_words(one.name)]
     numbers = [one for one in columns if one.kind == "number"]
-    named = [one for one in numbers if is_in(words_of(one.name), "column", "value")]
+    named = [number for number in numbers if is_in(words_of(number.name), "column", "value")]
     values = numbers if len(numbers) == 1 else named
     texts = [one for one in columns if one.kind == "text"]
-    units = [one.name for one in texts if is_in(words_of(one.name), "column", "unit")][:1]
-    names = [one for one in texts if one.name not in units]
+    units = [text.name for text in texts if is_in(words_of(text.name), "column", "unit")][:1]
+    names = [text for text in texts if text.name not in units]
     if len(values) != 1 or not names:
         return None
     # A tag's rows may stand together: its names are those of the whole head.
@@ -59,7 +59,7 @@ def _of_tags(table: Table) -> Table | None:
         for name, (cells, unit) in seen.items()
         if name not in MISSING_TOKENS
     ]
-    known = {meaning_of(one.name, one.unit).channel for one in tags} - {None}
+    known = {meaning_of(tag.name, tag.unit).channel for tag in tags} - {None}
     if len(known) < 2 - is_in(words_of(column.name)[-1:], "column", "channel"):
         return None
     own = {"layout": "long", "channel_column": column.name, "value_column": values[0].name}
@@ -76,7 +76,7 @@ def cells_of(table: Table) -> Callable[[str], Sequence[str]]:
 
     @cache
     def rows() -> dict[str, list[str]]:
-        names = [one.name for one in table.columns]
+        names = [column.name for column in table.columns]
         thinned = islice(table.rows(names), 0, None, _ROWS_APART)
         return dict(zip(names, map(list, zip(*thinned, strict=True)), strict=False))
 
@@ -87,15 +87,15 @@ def columns_without_use(table: Table, signals: Table, motor_columns: Sequence[st
     """Return names of columns that are neither read nor candidates of a channel."""
     logs = signals.logs
     read = {logs.get(key) for key in ("channel_column", "value_column")} | {*motor_columns}
-    read |= {one.name for one in signals.columns}
-    read |= {one.quality.source for one in signals.columns if one.quality}
+    read |= {column.name for column in signals.columns}
+    read |= {column.quality.source for column in signals.columns if column.quality}
     is_unit = logs.get("layout") == "long"
     return [
-        one.name
-        for one in table.columns
-        if one.name not in read
-        and one.kind != "nothing"
-        and not (is_unit and is_in(words_of(one.name), "column", "unit"))
+        column.name
+        for column in table.columns
+        if column.name not in read
+        and column.kind != "nothing"
+        and not (is_unit and is_in(words_of(column.name), "column", "unit"))
     ]
 
 

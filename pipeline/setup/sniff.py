@@ -89,7 +89,9 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
     with readable(path):
         if logs.format == "parquet":
             columns = _parquet_columns(path)
-            return {one.name: one.unit if one.kind != "typed" else "" for one in columns}
+            return {
+                column.name: column.unit if column.kind != "typed" else "" for column in columns
+            }
         lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
         rows = [_cells(line, logs.separator) for line in lines if line.strip()]
         names, *units = rows[: 1 + logs.unit_rows] or [()]
@@ -126,8 +128,8 @@ def _csv(path: Path) -> Table:
             if len(row) == len(names) and row != names and not row[0].startswith("#"):
                 yield tuple(row[place] for place in places)
 
-    numbers = [one for one in columns if one.kind == "number"]
-    marks = marks_of(cell for one in numbers for cell in one.cells)
+    numbers = [column for column in columns if column.kind == "number"]
+    marks = marks_of(cell for number in numbers for cell in number.cells)
     if marks.decimal == separator:
         message = (
             "a comma is the decimal mark and separates the cells, too: such a log is not read, "
@@ -271,7 +273,7 @@ def _parquet(path: Path) -> Table:
     apart = {
         n: kind for n, kind in kinds.items() if pa.types.is_date(kind) or pa.types.is_time(kind)
     }
-    if apart and not any(one.kind in ("stamp", "typed") for one in columns):
+    if apart and not any(column.kind in ("stamp", "typed") for column in columns):
         shown = ", ".join(f"{name} ({kind})" for name, kind in apart.items())
         message = f"its time is apart, in {shown}: have one column of timestamps written"
         raise LogError("log_time", path, message)
@@ -336,10 +338,10 @@ def _text(cell: object) -> str:
 
 def _mcap(path: Path) -> Table:
     topics = read_topics(path)
-    columns = [one for topic in topics for one in _fields(topic, is_lone=len(topics) == 1)]
+    columns = [field for topic in topics for field in _fields(topic, is_lone=len(topics) == 1)]
     logs: dict[str, Any] = {"format": "mcap", "time": "log_time"}
     questions: list[Question] = []
-    of_readings = {one.keys["source"] for one in columns}
+    of_readings = {column.keys["source"] for column in columns}
     if stamp := _stamp([topic for topic in topics if topic.name in of_readings]):
         logs["stamp"] = path_text(stamp[0])
         set_formats(logs, questions, stamp[1])
@@ -418,7 +420,7 @@ def _stamp(topics: Sequence[Topic]) -> tuple[FieldPath, TimeFormats] | None:
     """A stamp that all messages have, written alike."""
     found = [dict(_stamps_of(topic)) for topic in topics]
     stamps = found[0].items() if found else ()
-    return next((one for one in stamps if all(one in own.items() for own in found)), None)
+    return next((stamp for stamp in stamps if all(stamp in own.items() for own in found)), None)
 
 
 def _stamps_of(topic: Topic) -> Iterator[tuple[FieldPath, TimeFormats]]:

@@ -261,9 +261,9 @@ def time_formats(stamps: Sequence[str]) -> TimeFormats:
 
 def _misfit(times: Sequence[dt.datetime]) -> int:
     """Stamps in the future, and steps of months: a log has neither."""
-    seconds = [one.timestamp() for one in times]
+    seconds = [time_us.timestamp() for time_us in times]
     leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
-    return leaps + sum(one > latest_us() / 1e6 for one in seconds)
+    return leaps + sum(second > latest_us() / 1e6 for second in seconds)
 
 
 def count_format(numbers: Sequence[float]) -> str | None:
@@ -280,7 +280,7 @@ def count_format(numbers: Sequence[float]) -> str | None:
 
 def timed(table: Table) -> Table:
     """The table with its time found, and without the columns of the time."""
-    named = sorted(table.columns, key=lambda one: not is_time_name(one.name))
+    named = sorted(table.columns, key=lambda column: not is_time_name(column.name))
     of_kind = {kind: [one for one in named if one.kind == kind] for kind in TIMES}
     times, formats = named[:1], TimeFormats({})
     if of_kind["typed"]:
@@ -297,11 +297,17 @@ def timed(table: Table) -> Table:
             if one.kind == "number" and is_time and (form := count_format(known)):
                 times, formats = [one], TimeFormats({form: ""}, form in EPOCH_UNITS)
                 break
-    logs, questions, names = dict(table.logs), list(table.questions), [one.name for one in times]
+    logs, questions, names = (
+        dict(table.logs),
+        list(table.questions),
+        [time_us.name for time_us in times],
+    )
     logs |= dict(zip(("time", "date_column"), names, strict=False))
     set_formats(logs, questions, formats)
     # The other columns of times, such as that of arrival, are no readings either.
-    rest = [one for one in table.columns if one.name not in names and one.kind not in TIMES]
+    rest = [
+        column for column in table.columns if column.name not in names and column.kind not in TIMES
+    ]
     return replace(
         table, logs=logs, questions=tuple(questions), columns=tuple(rest), times=tuple(names)
     )
@@ -309,13 +315,13 @@ def timed(table: Table) -> Table:
 
 def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     """Formats of stamps in a column, or in those of date and time."""
-    cells = zip(*(one.cells for one in columns), strict=True)
+    cells = zip(*(column.cells for column in columns), strict=True)
     stamps = [stamp for row in cells if is_stamp(stamp := " ".join(row))][:SAMPLES]
     found = time_formats(stamps)
     if len(found.readings) < 2:
         return found
     # Some stamps from further on tell day from month.
-    later = islice(table.rows([one.name for one in columns]), HEAD_ROWS, 200_000, 1000)
+    later = islice(table.rows([column.name for column in columns]), HEAD_ROWS, 200_000, 1000)
     more = [stamp for row in later if is_stamp(stamp := " ".join(row))]
     return time_formats([*stamps, *more])
 

@@ -92,7 +92,9 @@ def days_of(label: str) -> list[dt.date]:
     if len(label) > len("2026-02"):
         return [dt.date.fromisoformat(label)]
     first = dt.date.fromisoformat(f"{label}-01")
-    return [first.replace(day=one + 1) for one in range(monthrange(first.year, first.month)[1])]
+    return [
+        first.replace(day=number + 1) for number in range(monthrange(first.year, first.month)[1])
+    ]
 
 
 def is_named_as_ours(path: Path) -> bool:
@@ -115,8 +117,8 @@ def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = No
         return [whole]
     if nights is None:
         months = _listed(table_folder(output, table))
-        return sorted(path for one in months for path in _listed(one) if is_named_as_ours(path))
-    labels = {label for one in nights for label in (f"{one:%Y-%m}", str(one))}
+        return sorted(path for month in months for path in _listed(month) if is_named_as_ours(path))
+    labels = {label for night in nights for label in (f"{night:%Y-%m}", str(night))}
     paths = (labelled_file(output, table, label) for label in sorted(labels))
     return [path for path in paths if path.exists()]
 
@@ -221,7 +223,7 @@ def from_parquet(
             groups = [
                 place
                 for place in range(file.num_row_groups)
-                if all(_may_hold(file, place, *one) for one in (wanted or {}).items())
+                if all(_may_hold(file, place, *item) for item in (wanted or {}).items())
             ]
             rows = pl.from_arrow(file.read_row_groups(groups, columns=there, use_threads=False))
         assert isinstance(rows, pl.DataFrame)
@@ -244,7 +246,7 @@ def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[An
     column = file.metadata.row_group(place).column(file.schema_arrow.get_field_index(name))
     known = column.statistics
     is_known = known is not None and known.has_min_max
-    return not is_known or any(known.min <= one <= known.max for one in values)
+    return not is_known or any(known.min <= value <= known.max for value in values)
 
 
 def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:

@@ -56,7 +56,7 @@ def _type(kind: object) -> str:
     if isinstance(kind, pl.List):
         return f"{_type(kind.inner)}[]"
     if isinstance(kind, pl.Struct):
-        return f"STRUCT({', '.join(f'{one.name} {_type(one.dtype)}' for one in kind.fields)})"
+        return f"STRUCT({', '.join(f'{field.name} {_type(field.dtype)}' for field in kind.fields)})"
     return next(text for one, text in TYPES.items() if kind == one)
 
 

@@ -63,7 +63,7 @@ class NightsCompared:
             f"probability of a change {percent(found.probability)}",
         ]
         if found.probability > EVEN:
-            likeliest = sorted(found.candidates.items(), key=lambda one: -one[1])
+            likeliest = sorted(found.candidates.items(), key=lambda item: -item[1])
             told = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
             lines.append(f"cause: {', '.join(told)}")
         if found.operates_otherwise:
@@ -85,12 +85,12 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     """
     with read_state_file(output) as state:
         spec = as_published(spec, read_settings(state).get(spec.motor_id))
-    borders = [one.date for one in spec.file.baseline_events if one.date != at]
-    first = max((one for one in borders if one < at), default=dt.date.min)
-    end = min((one for one in borders if one > at), default=dt.date.max)
+    borders = [event.date for event in spec.file.baseline_events if event.date != at]
+    first = max((border for border in borders if border < at), default=dt.date.min)
+    end = min((border for border in borders if border > at), default=dt.date.max)
     nights = [one for one in nights_back(output, BLOCKS) if first <= one < end]
-    earlier = [one for one in nights if one < at][:most]
-    later = [one for one in nights if one >= at][-most:]
+    earlier = [night for night in nights if night < at][:most]
+    later = [night for night in nights if night >= at][-most:]
     layout = Layout.of(spec, at)
     before, after = (read_blocks(output, spec, layout, some) for some in (earlier, later))
     try:
@@ -102,7 +102,7 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
 
 
 def _labels(nights: Sequence[NightBlocks]) -> tuple[dt.date, ...]:
-    return tuple(dt.date.fromordinal(one.day) for one in nights)
+    return tuple(dt.date.fromordinal(night.day) for night in nights)
 
 
 def _nights(nights: tuple[dt.date, ...]) -> str:

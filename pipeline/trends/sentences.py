@@ -300,7 +300,7 @@ def _beside_circuit(night: JudgedNight, change: Change) -> str:
 
 def _others(change: Change) -> str:
     """What it could be, with probabilities."""
-    several = sorted(change.candidates.items(), key=lambda one: -one[1])
+    several = sorted(change.candidates.items(), key=lambda item: -item[1])
     if change.cause == "cannot_be_told":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
         return f"possible: {', '.join(left)}" if left else ""

@@ -56,13 +56,13 @@ class Circuit:
         settings: Mapping[str, Mapping[str, Any]],
     ) -> Circuit:
         """A circuit with its motors as their fits are published, and what is remembered of them."""
-        specs = [as_published(one, settings.get(one.motor_id)) for one in specs]
+        specs = [as_published(spec, settings.get(spec.motor_id)) for spec in specs]
         said = decisions_of(specs, decisions)
         return cls(
             tuple(specs),
             said,
-            {one.motor_id: records.get(one.motor_id) for one in specs},
-            {one.motor_id: trend_hash(one, said[one.motor_id]) for one in specs},
+            {spec.motor_id: records.get(spec.motor_id) for spec in specs},
+            {spec.motor_id: trend_hash(spec, said[spec.motor_id]) for spec in specs},
         )
 
     def spans(
@@ -100,10 +100,10 @@ def decisions_of(
     specs: Iterable[MotorSpec], decisions: Iterable[Decision]
 ) -> dict[str, tuple[Decision, ...]]:
     """Decisions of people on some motors, by motor."""
-    found: dict[str, list[Decision]] = {one.motor_id: [] for one in specs}
-    for one in decisions:
-        if one.motor_id in found:
-            found[one.motor_id].append(one)
+    found: dict[str, list[Decision]] = {spec.motor_id: [] for spec in specs}
+    for decision in decisions:
+        if decision.motor_id in found:
+            found[decision.motor_id].append(decision)
     return {motor_id: tuple(said) for motor_id, said in found.items()}
 
 

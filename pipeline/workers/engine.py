@@ -66,7 +66,7 @@ def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator
     """
     if execution.backend == "sequential":
         # In the run's own process: a task that hangs or dies takes the run with it.
-        yield Workers(lambda function, tasks: ((one, attempt(function, one)) for one in tasks))
+        yield Workers(lambda function, tasks: ((task, attempt(function, task)) for task in tasks))
     elif execution.backend == "dask":
         from pipeline.workers.cluster import open_cluster
 
@@ -200,7 +200,7 @@ class Pool:
         """Numbers of the tasks that a dead pool had begun; their loss, by a mark and last words."""
         marks = {one.number: one for _, one in self._marks() if one.number >= 0}
         mark = next(iter(marks.values()), Mark())
-        words = "".join(one.read_text("utf-8", "replace") for one in self.folder.glob("*.words"))
+        words = "".join(path.read_text("utf-8", "replace") for path in self.folder.glob("*.words"))
         sys.stderr.write(words)
         for place in self.folder.iterdir():
             place.unlink()

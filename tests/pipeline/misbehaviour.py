@@ -154,7 +154,9 @@ def workers_of(parent: int) -> int:
     import psutil
 
     processes = psutil.process_iter(["ppid", "cmdline"])
-    mine = (one.info["cmdline"] or () for one in processes if one.info["ppid"] == parent)
+    mine = (
+        process.info["cmdline"] or () for process in processes if process.info["ppid"] == parent
+    )
     return sum("popen_loky_posix" in " ".join(command) for command in mine)
 
 

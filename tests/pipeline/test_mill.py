@@ -91,7 +91,7 @@ def _day(drive: Drive, day: int, shift_h: float, rng: np.random.Generator) -> pl
     noise = rng.standard_normal((5, n))
     return pl.DataFrame(
         {
-            "time": [begin + dt.timedelta(seconds=one) for one in seconds.tolist()],
+            "time": [begin + dt.timedelta(seconds=second) for second in seconds.tolist()],
             "high": difference + low + 0.4 * noise[0],
             "low": low + 0.1 * noise[1],
             "temperature": temperature + 0.1 * noise[2],

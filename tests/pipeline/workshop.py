@@ -78,7 +78,7 @@ class Workshop:
         fleet: str = QUICK,
         motors: Sequence[str] = ("M1",),
     ) -> None:
-        texts = {one: motor_toml(one, "MINI", files=files, more=more) for one in motors}
+        texts = {motor: motor_toml(motor, "MINI", files=files, more=more) for motor in motors}
         write_configs(self.folder, texts, {"MINI": MINI}, fleet)
 
     def run(self, **request: Any) -> MotorOutcome:

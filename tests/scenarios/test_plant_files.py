@@ -519,7 +519,8 @@ def channels_of(folder: Path) -> dict[str, dict[str, tuple[str, str]]]:
     motors = load_fleet(folder / "fleet" / "fleet.toml").motors
     return {
         spec.motor_id: {
-            str(name): (one.source, one.unit) for name, one in spec.file.channels.items()
+            str(name): (channel.source, channel.unit)
+            for name, channel in spec.file.channels.items()
         }
         for spec in motors
     }

@@ -128,10 +128,10 @@ def one_by_one(
     `values` are the functions of a message by path.
     """
     found = {
-        path: [None if one is None else value(one) for one in messages]
+        path: [None if message is None else value(message) for message in messages]
         for path, value in values.items()
     }
-    broken = np.array([one is None for one in messages], np.bool_)
+    broken = np.array([message is None for message in messages], np.bool_)
     fields = {path: _readings(found[path], broken, example) for path in wanted.readings}
     words = {path: pa.array(map(_word, found[path]), pa.string()) for path in wanted.qualities}
     stamps = None if wanted.stamp is None else stamps_of(found[wanted.stamp], wanted.time_format)
@@ -147,7 +147,7 @@ def _readings(values: list[Any], broken: NDArray[np.bool_], example: str) -> Rea
     except OverflowError:
         pass
     numbers = [number_of(value) for value in values]
-    unparsed = broken | (~missing & np.array([one is None for one in numbers], np.bool_))
+    unparsed = broken | (~missing & np.array([number is None for number in numbers], np.bool_))
     first = int(np.argmax(unparsed))
     shown = example if broken[first] else repr(values[first])[:60]
     raw = np.array(numbers, np.float64)
@@ -172,9 +172,9 @@ def _word(value: object) -> str | None:
 def stamps_of(values: Sequence[Any], time_format: str) -> WrittenStamps:
     """Stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
     is_counted = time_format in (*EPOCH_UNITS, EXCEL_DAYS)
-    texts = pa.array([_stamp_text(one, is_counted) for one in values], pa.string())
+    texts = pa.array([_stamp_text(value, is_counted) for value in values], pa.string())
     stamps = written([pa.chunked_array([texts])], time_format)
-    names = {i: pair_of(one) for i, one in enumerate(values) if isinstance(one, dict)}
+    names = {i: pair_of(value) for i, value in enumerate(values) if isinstance(value, dict)}
     parts = [(i, values[i][pair[0]], values[i][pair[1]]) for i, pair in names.items() if pair]
     if not parts:
         return stamps
@@ -198,8 +198,8 @@ Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
 
 def _int64(values: Sequence[Any]) -> Numbers:
     """Whole numbers, 0 where there is none, and where there is one."""
-    there = [type(one) is int and _INT64.min <= one <= _INT64.max for one in values]
-    whole = [one if ok else 0 for one, ok in zip(values, there, strict=True)]
+    there = [type(value) is int and _INT64.min <= value <= _INT64.max for value in values]
+    whole = [value if ok else 0 for value, ok in zip(values, there, strict=True)]
     return np.array(whole, np.int64), np.array(there, np.bool_)
 
 

@@ -123,7 +123,7 @@ class Summary(NamedTuple):
         """Number of messages of a topic; None where the writer left it out."""
         if self.statistics is None:
             return None
-        same = [i for i, one in self.declared.channels.items() if one.topic == topic]
+        same = [i for i, channel in self.declared.channels.items() if channel.topic == topic]
         return sum(self.statistics.counts_by_channel.get(i, 0) for i in same)
 
 

@@ -109,11 +109,11 @@ def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wa
         ``log_encoding``: messages in this encoding are not read; and as each decoder.
     """
     match encoding, schema.encoding:
-        case "json", _:
+        case ["json", _]:
             return json_decoder(wanted)
-        case "protobuf", "protobuf":
+        case ["protobuf", "protobuf"]:
             return protobuf_decoder(path, topic, schema, wanted)
-        case "cdr", "ros2msg":
+        case ["cdr", "ros2msg"]:
             # Imported where it is needed: most logs have no such messages.
             from pipeline.ingest.mcap.ros2 import ros2_decoder
 
@@ -133,12 +133,14 @@ class _Topic:
 
     def __init__(self, file: LogFile, name: str) -> None:
         self.path, self.name = file.path, name
-        self.channels = {key: one for key, one in file.channels.items() if one.source == name}
-        fields = {key: field_path(one.field, name) for key, one in self.channels.items()}
+        self.channels = {
+            key: channel for key, channel in file.channels.items() if channel.source == name
+        }
+        fields = {key: field_path(channel.field, name) for key, channel in self.channels.items()}
         self.qualities = {
-            one.quality_source: field_path(one.quality_source, name)
-            for one in self.channels.values()
-            if one.quality_source
+            channel.quality_source: field_path(channel.quality_source, name)
+            for channel in self.channels.values()
+            if channel.quality_source
         }
         logs = file.logs
         self.wanted = Wanted(
@@ -190,7 +192,7 @@ class _Topic:
         stamps = decoded.stamps
         if stamps is None:
             stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
-        qualities = {one: decoded.qualities[path] for one, path in self.qualities.items()}
+        qualities = {quality: decoded.qualities[path] for quality, path in self.qualities.items()}
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first
         # Elsewhere, a schema has told which fields there are.
@@ -198,8 +200,14 @@ class _Topic:
             self._look_for_fields(payloads, decoded)
 
     def _look_for_fields(self, payloads: Payloads, decoded: Decoded) -> None:
-        told = {path for path, one in decoded.fields.items() if (one.unparsed | ~one.missing).any()}
-        told |= {path for path, one in decoded.qualities.items() if one.null_count < len(one)}
+        told = {
+            path
+            for path, field in decoded.fields.items()
+            if (field.unparsed | ~field.missing).any()
+        }
+        told |= {
+            path for path, quality in decoded.qualities.items() if quality.null_count < len(quality)
+        }
         self.unseen = [path for path in self.unseen if path not in told]
         # One that is null is there, too.
         for payload in payloads.each():
@@ -211,7 +219,7 @@ class _Topic:
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""
         if self.kind is None:
-            topics = sorted({one.topic for one in last.channels.values()})[:_MOST_NAMES]
+            topics = sorted({channel.topic for channel in last.channels.values()})[:_MOST_NAMES]
             how = f"no topic {self.name!r}; there are {', '.join(map(repr, topics))}"
             raise LogError("log_column_missing", self.path, how)
         if self.kind == _JSON and self.unseen and self.first:

@@ -72,7 +72,9 @@ class Messages:
 
     def rows_of(self, topic: str) -> NDArray[np.intp]:
         """Rows of the messages of a topic, which several channels may have."""
-        own = [self.channel_id == i for i, one in self.channels.items() if one.topic == topic]
+        own = [
+            self.channel_id == i for i, channel in self.channels.items() if channel.topic == topic
+        ]
         return np.flatnonzero(reduce(np.logical_or, own)) if own else np.empty(0, np.intp)
 
     def payload_start(self, chosen: Rows) -> NDArray[np.int64]:

@@ -55,7 +55,9 @@ class Decision:
 
 def is_withdrawn(decisions: Iterable[Decision], raised: dt.date) -> bool:
     """True where an inspection has not confirmed what was raised on a night."""
-    return any(one.finding == "not_confirmed" and one.night >= raised for one in decisions)
+    return any(
+        decision.finding == "not_confirmed" and decision.night >= raised for decision in decisions
+    )
 
 
 def record_decision(output: Path, decision: Decision) -> None:

@@ -273,7 +273,7 @@ def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.dat
 
 def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:
     """Read the blocks of the nights that the watches are to be told, some nights at a time."""
-    needed = {name: one.blocks_from for name, one in motors.items()}
+    needed = {name: motor.blocks_from for name, motor in motors.items()}
     for begin, some in _by_night(needed).items():
         nights = {night for name in some for night in motors[name].history.nights if night >= begin}
         labels = sorted(nights)

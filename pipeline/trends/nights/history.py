@@ -161,12 +161,12 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
         if is_border and event.date >= history.nights[0]:
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
             found.append((history.place_from(event.date), words))
-    for one in history.decisions:
+    for decision in history.decisions:
         # Of a sensor's zero, or under any other name of the leakage; without one of both.
-        reset = one.indicator if one.indicator in (*SENSORS, "") else LEAKAGE
-        if one.kind == "baseline_reset" and reset in (of_what, ""):
-            note = f": {one.note}" if one.note else ""
-            found.append((history.place_from(one.night), f"reset from {one.night}{note}"))
+        reset = decision.indicator if decision.indicator in (*SENSORS, "") else LEAKAGE
+        if decision.kind == "baseline_reset" and reset in (of_what, ""):
+            note = f": {decision.note}" if decision.note else ""
+            found.append((history.place_from(decision.night), f"reset from {decision.night}{note}"))
     for place, words in found:
         if place < len(history):
             starts.setdefault(place, []).append(words)
@@ -179,7 +179,7 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
 
 def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod:
     """The baseline period of a night; the last one's for nights to come."""
-    return next((one for one in periods if place < one.end), periods[-1])
+    return next((period for period in periods if place < period.end), periods[-1])
 
 
 def _changed_settings(history: History) -> list[tuple[int, str]]:

@@ -53,9 +53,11 @@ class Kept:
         watch = self.watch
         period = None if watch is None else [watch.period.isoformat(), watch.own, watch.day]
         arrays = {"records": self.records} | ({} if watch is None else dict(watch.arrays))
-        forms = [(name, one.dtype.str, one.shape, one.nbytes) for name, one in arrays.items()]
+        forms = [
+            (name, array.dtype.str, array.shape, array.nbytes) for name, array in arrays.items()
+        ]
         head = json.dumps([self.key, self.last_night.isoformat(), period, forms]).encode()
-        content = b"".join([head, b"\n", *(one.tobytes() for one in arrays.values())])
+        content = b"".join([head, b"\n", *(array.tobytes() for array in arrays.values())])
         packed: bytes = lz4.frame.compress(content, content_checksum=True)
         return packed
 

@@ -31,9 +31,9 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
     Those of its circuit's other motors are no reason to make its trends anew.
     """
     resets = [
-        (one.night.isoformat(), one.indicator, one.note)
-        for one in decisions
-        if one.kind == "baseline_reset"
+        (decision.night.isoformat(), decision.indicator, decision.note)
+        for decision in decisions
+        if decision.kind == "baseline_reset"
     ]
     return hash_of({"version": TRENDS_VERSION, "config": config_hash(spec), "resets": resets})
 

@@ -159,13 +159,13 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
 def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
     """A row of `latest` with the last acknowledgement since its state began."""
     said = [
-        one.note or one.kind
-        for one in decisions
+        decision.note or decision.kind
+        for decision in decisions
         if row["state_since"] is not None
-        and one.motor_id == row["motor_id"]
-        and one.indicator not in SENSORS
-        and one.kind in ("acknowledged", "finding")
-        and one.night >= row["state_since"]
+        and decision.motor_id == row["motor_id"]
+        and decision.indicator not in SENSORS
+        and decision.kind in ("acknowledged", "finding")
+        and decision.night >= row["state_since"]
     ]
     return row | {"acknowledged": said[-1]} if said else row
 
@@ -215,10 +215,10 @@ def _as_removed(row: Row) -> Row:
 def is_confirmed(row: Row, decisions: Sequence[Decision]) -> bool:
     """True where a person has confirmed that a motor is gone."""
     return any(
-        (one.motor_id, one.kind) == (row["motor_id"], "removed")
+        (decision.motor_id, decision.kind) == (row["motor_id"], "removed")
         and row["night"] is not None
-        and one.night >= row["night"]
-        for one in decisions
+        and decision.night >= row["night"]
+        for decision in decisions
     )
 
 

@@ -56,7 +56,7 @@ def state_columns(night: JudgedNight, quiet_since: dt.date | None, drifts: Seque
 
 
 def _of_change(night: JudgedNight, change: Change) -> Row:
-    candidates = sorted(change.candidates.items(), key=lambda one: -one[1])
+    candidates = sorted(change.candidates.items(), key=lambda item: -item[1])
     row: Row = {
         "cause": change.cause,
         "cause_probability": change.probability or None,

@@ -213,8 +213,8 @@ def oil_as_measured(history: History, place: int) -> str:
     size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
     words = "as its data sheet" if abs(percent) < 0.5 else size
     samples = [one for one in history.spec.samples_of(night) if one.date <= night]
-    measured = [one.date for one in samples if one.viscosity_40_c_mm2_per_s is not None]
-    water = [one.water_mg_per_kg for one in samples if one.water_mg_per_kg is not None]
+    measured = [sample.date for sample in samples if sample.viscosity_40_c_mm2_per_s is not None]
+    water = [sample.water_mg_per_kg for sample in samples if sample.water_mg_per_kg is not None]
     by_log = any(name in history.spec.file.channels for name in VISCOSITIES)
     source = "by the log" if by_log or not measured else f"on {day(measured[-1])}"
     wet = f", water {water[-1]:g} mg/kg" if water else ""

@@ -195,7 +195,7 @@ def test_criteria_that_are_undefined_are_none(cost: float, d: int, n: float) -> 
 def test_gaps_pool_the_pairs_of_their_stretches(seed: int, sizes: list[int]) -> None:
     residual = np.random.default_rng(seed).standard_normal(sum(sizes))
     stretches = np.split(residual - residual.mean(), np.cumsum(sizes)[:-1])
-    products = np.concatenate([one[1:] * one[:-1] for one in stretches])
+    products = np.concatenate([stretch[1:] * stretch[:-1] for stretch in stretches])
     found = lag_one_autocorrelation(residual, np.cumsum([0, *sizes[:-1]]))
     if len(products):
         assert found == pytest.approx(products.mean() / residual.var(), rel=1e-9, abs=1e-12)

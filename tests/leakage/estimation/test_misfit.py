@@ -87,7 +87,7 @@ def misfits(truth: Truth, nights: int, seed: int = 1) -> list[Misfit]:
 
 def with_roller(factor: float) -> Motor:
     paths = tuple(
-        replace(path, coefficients=tuple(factor * one for one in path.coefficients))
+        replace(path, coefficients=tuple(factor * coefficient for coefficient in path.coefficients))
         if isinstance(path, SpeedCurve)
         else path
         for path in MODEL.paths
@@ -101,7 +101,7 @@ def test_a_misfit_is_clear_at_twice_what_noise_explains() -> None:
 
 
 def test_a_right_model_leaves_little() -> None:
-    shares = [one.share for one in misfits(Truth(), 60)]
+    shares = [misfit.share for misfit in misfits(Truth(), 60)]
     assert np.quantile(shares, 0.95) < 0.007
 
 

@@ -125,7 +125,7 @@ def test_warnings_come_first() -> None:
 
 def test_five_rows_say_what_they_cannot_know() -> None:
     found = fit_frame(made(5), MOTOR)
-    assert {one.verdict for one in found.judgements.values()} == {"too_little_data"}
+    assert {judgement.verdict for judgement in found.judgements.values()} == {"too_little_data"}
     assert set(found.conf_int().values()) == {None}
     with pytest.raises(EstimationError):
         fit_frame(made(2), MOTOR)

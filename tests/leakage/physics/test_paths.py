@@ -152,7 +152,9 @@ def test_figures_that_a_loss_factor_leaves_possible(
     coefficient = float(balance_piston().coefficient([10.0, 0.4]))
     path, close = replace(balance_piston(), **change), partial(pytest.approx, rel=1e-5, abs=1e-8)
     limits = 0.729 * coefficient, 1.331 * coefficient
-    figures = {one.name: one for one in path.derived_figures(coefficient, limits, (3e-7, 4e-7))}
+    figures = {
+        figure.name: figure for figure in path.derived_figures(coefficient, limits, (3e-7, 4e-7))
+    }
     assert (figures["h_p"].lowest, figures["h_p"].highest) == close(h)
     assert figures["h_p"].limits == (h_limits and close(h_limits))
     ratio = figures["film_thickness_ratio_p"]

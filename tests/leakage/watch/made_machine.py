@@ -174,4 +174,4 @@ def earlier_of(nights: Sequence[NightBlocks]) -> Callable[[int], Sequence[NightB
 
 def first_told(watches: Sequence[Watch]) -> Watch | None:
     """The watch on the night on which a change is first in force."""
-    return next((one for one in watches if one.state.in_force is not None), None)
+    return next((watch for watch in watches if watch.state.in_force is not None), None)

@@ -39,7 +39,7 @@ def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
     baseline = baseline_of(CB560, nights)
     assert baseline.columns.theta == pytest.approx(COEFFICIENTS, rel=0.05)
     assert baseline.columns.least_scale == pytest.approx(
-        0.2 * np.mean([one.flow for one in nights])
+        0.2 * np.mean([night.flow for night in nights])
     )
     assert (baseline.all_paths[:4] * baseline.share).sum() == pytest.approx(1.0, abs=0.02)
 
@@ -74,7 +74,8 @@ def test_a_path_that_does_not_leak_has_a_coefficient_of_zero_and_costs_nothing()
     """A path that would be fitted below 0: clipped afterwards, it would put ŷ off."""
     nights = Plant(growth=lambda _: np.array([1.0, 0.0, 1.0, 1.0])).nights(15, 3)
     pulling = [
-        replace(one, flow=one.flow - 0.1 * COEFFICIENTS[1] * one.drives[:, 1]) for one in nights
+        replace(night, flow=night.flow - 0.1 * COEFFICIENTS[1] * night.drives[:, 1])
+        for night in nights
     ]
     baseline = baseline_of(CB560, pulling)
     assert baseline.columns.theta[1] == 0.0
@@ -284,8 +285,8 @@ def test_two_gaps_together_are_a_cause_where_the_model_is_right() -> None:
 def test_a_flushing_is_one_with_the_zero_of_the_meter() -> None:
     paths = ("ring", "piston", "sleeve", "flushing")
     nights = [
-        replace(one, drives=np.column_stack([one.drives[:, :3], np.ones(30)]))
-        for one in Plant().nights(8, 2)
+        replace(night, drives=np.column_stack([night.drives[:, :3], np.ones(30)]))
+        for night in Plant().nights(8, 2)
     ]
     machine = Machine(paths, paths[:3], VG_68)
     baseline = baseline_of(machine, nights)

@@ -38,7 +38,7 @@ def test_change_is_the_median_of_the_others_and_an_own_part_each_with_its_error(
     ],
 )
 def test_it_is_common_where_most_others_show_the_like(others: list[float], is_common: bool) -> None:
-    asked = circuit_change(Estimate(0.10, 0.01), [Estimate(one, 0.01) for one in others])
+    asked = circuit_change(Estimate(0.10, 0.01), [Estimate(other, 0.01) for other in others])
     assert asked.is_common == is_common
     assert (asked.probability > 0.5) == is_common
 

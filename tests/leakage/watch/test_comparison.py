@@ -71,7 +71,12 @@ def test_a_step_is_surer_the_more_nights_stand_on_each_side(size: float) -> None
 @pytest.mark.parametrize("night", [0, 9])
 def test_one_odd_night_among_ten_is_no_change(night: int) -> None:
     odd = grown("all_flows", 0.5, BEFORE + night, BEFORE + night + 1)
-    assert max(one.probability for one in comparisons(Plant(film="slot", growth=odd), 10)) < 0.5
+    assert (
+        max(
+            comparison.probability for comparison in comparisons(Plant(film="slot", growth=odd), 10)
+        )
+        < 0.5
+    )
 
 
 def test_a_worn_gap_is_named_where_the_model_is_right() -> None:

@@ -180,7 +180,7 @@ def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_repair_is_told_and_at_rest_afterwards(seed: int) -> None:
     watches = story(REPAIRED, 75, seed)
-    changes = [change for one in watches if (change := one.verdict().change)]
+    changes = [change for watch in watches if (change := watch.verdict().change)]
     assert changes[0].cause == "sleeve"
     back = next(one for one in changes if one.cause == "back_as_before")
     assert not back.is_rise
@@ -228,7 +228,9 @@ def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
 def test_what_grows_ever_faster_does_not_begin_later_and_later(seed: int) -> None:
     told, first, _ = told_of(FASTER, 52, seed)
     changes = [one.verdict().change for one in story(FASTER, 52, seed)[told.day - FIRST + 1 :]]
-    settling = [one for one in changes if one is not None and one.told_on == first.told_on]
+    settling = [
+        change for change in changes if change is not None and change.told_on == first.told_on
+    ]
     assert len(settling) >= 10
     assert max(one.since for one in settling) == first.since
 
@@ -270,7 +272,7 @@ def test_a_large_change_begins_an_baseline_period_that_carries_what_was_before(s
     assert after.verdict().present.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.025)
     assert after.verdict().newest_night.value == pytest.approx(1.4 * 1.1 - 1.0, abs=0.04)
     # What is in force is sized along the flows of the new period.
-    begun = next(one for one in watches if one.state.n_baseline < FIRST)
+    begun = next(watch for watch in watches if watch.state.n_baseline < FIRST)
     assert begun.state.in_force.along == pytest.approx(begun.state.baseline.all_flows)
 
 
@@ -288,7 +290,7 @@ def test_two_causes_at_once_are_several_and_named_as_none(seed: int) -> None:
 def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
     plant = Plant(operating_point="one pressure", growth=grown("sleeve", 0.30, BEGIN))
     watches = watched(plant.nights(45, seed), first=FIRST)
-    changes = [change for one in watches if (change := one.verdict().change)]
+    changes = [change for watch in watches if (change := watch.verdict().change)]
     assert {change.cause for change in changes} == {"cannot_be_told"}
     # One gap or all of them: together likely, each alone not.
     assert min(change.probability for change in changes) > 0.8
@@ -307,7 +309,7 @@ def test_size_on_a_machine_that_is_not_the_fitted_one(seed: int) -> None:
     assert last.present.value == pytest.approx(
         of_flow(np.array([0.2, 0.2, 0.2, 0.0]), "turbulent"), abs=0.02
     )
-    assert {c.cause for one in watches if (c := one.verdict().change)} <= {
+    assert {c.cause for watch in watches if (c := watch.verdict().change)} <= {
         "cannot_be_told",
         "all_gaps",
     }

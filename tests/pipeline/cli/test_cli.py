@@ -136,7 +136,7 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     code, out, _ = call("fit-fleet", fleet, "--json")
     assert code == 1
     *motors, run = map(json.loads, out.splitlines())
-    assert [one["event"] for one in motors] == ["motor", "motor"]
+    assert [motor["event"] for motor in motors] == ["motor", "motor"]
     told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
     files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
     told |= {"nights": {"ok": 3}, "files": files, "growing": [], "left_out": [], "stays": {}}

@@ -77,5 +77,7 @@ def test_every_column_is_on_the_page(table: Table) -> None:
     shared, *parts = re.split(r"^## ", PAGES["tables.md"](), flags=re.MULTILINE)
     (part,) = (one for one in parts if one.startswith(f"{table.name}\n"))
     part += "".join(line for line in shared.splitlines() if f"`{table.name}`" in line)
-    own = [one for one in table.columns if table is not LATEST or one not in NIGHTS.columns]
+    own = [
+        column for column in table.columns if table is not LATEST or column not in NIGHTS.columns
+    ]
     assert {one.name for one in own} <= set(re.findall(r"`(\w+)`", part))

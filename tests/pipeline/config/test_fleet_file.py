@@ -103,9 +103,9 @@ def test_a_line_a_motor(tmp_path: Path) -> None:
     motors = {name: f'motor_id = "{name}"' for name in ("W1", "W2")}
     motors["M3"] = 'motor_id = "M3"\nname_in_log = "Mill3/Motor2"'
     fleet = load_fleet(fleet_with(tmp_path, motors))
-    sources = {one.motor_id: one.file.channels["speed"].source for one in fleet.motors}
+    sources = {motor.motor_id: motor.file.channels["speed"].source for motor in fleet.motors}
     assert sources == {"W1": "W1_n", "W2": "W2_n", "M3": "Mill3/Motor2_n"}
-    assert {one.file.logs.separator for one in fleet.motors} == {";"}
+    assert {motor.file.logs.separator for motor in fleet.motors} == {";"}
 
 
 def test_a_motor_has_the_last_word(tmp_path: Path) -> None:

@@ -98,9 +98,9 @@ def within(place: Place, value: Any, stage: Stage = Stage.NOTHING) -> Iterator[t
         for key in type(value).model_fields:
             own = reduce(or_, (one for one in Stage if value.in_stage(one)[key]), Stage.NOTHING)
             yield from within((*place, key), getattr(value, key), own)
-    elif isinstance(parts, dict) and any(isinstance(one, Section) for one in parts.values()):
-        for name, one in parts.items():
-            yield from within((*place, name), one)
+    elif isinstance(parts, dict) and any(isinstance(part, Section) for part in parts.values()):
+        for name, part in parts.items():
+            yield from within((*place, name), part)
     else:
         yield place, stage
 
@@ -151,7 +151,9 @@ def expected(stage: Stage, place: Place) -> set[str]:
 def test_a_changed_setting_changes_the_hash_of_its_stage_and_no_other(spec: MotorSpec) -> None:
     before, stages = hashes(spec), dict(settings_in(spec))
     found = {
-        place: {name for name, one in hashes(changed(spec, place)).items() if one != before[name]}
+        place: {
+            name for name, digest in hashes(changed(spec, place)).items() if digest != before[name]
+        }
         for place in stages
     }
     assert found == {place: expected(stage, place) for place, stage in stages.items()}

@@ -119,7 +119,7 @@ def test_what_never_ends_is_told_and_not_read(
     elif kind == "device":
         path.symlink_to("/dev/zero")
     words = "is larger than" if kind == "huge" else "is no regular file"
-    assert words in next(one.message for one in faults(configs) if one.file == MOTOR)
+    assert words in next(fault.message for fault in faults(configs) if fault.file == MOTOR)
 
 
 def test_many_events_are_judged_by_their_oils(configs: Path) -> None:

@@ -268,5 +268,5 @@ def test_leakage_is_two_sided_where_the_low_side_is_known(
     for before, after in ports:
         change(configs, MOTOR, before, after)
     add(configs, MOTOR, f"\n[override.model]\n{model}\n")
-    spec = next(one for one in load(configs).motors if one.motor_id == MOTOR[7:-5])
+    spec = next(motor for motor in load(configs).motors if motor.motor_id == MOTOR[7:-5])
     assert spec.settings.model.two_sided is is_two_sided

@@ -72,9 +72,9 @@ def test_only_the_figures_of_nights_with_another_curve_are_made_anew() -> None:
     before, after = motor(), with_samples(motor(), sample(10, 60.0))
     hashes = SettingsHashes(before), SettingsHashes(after)
     for place, same in ((9, True), (10, False)):
-        first, second = (one.figures(night_of(place)) for one in hashes)
+        first, second = (digest.figures(night_of(place)) for digest in hashes)
         assert (first == second) == same
-        first, second = (one.statistics(night_of(place)) for one in hashes)
+        first, second = (digest.statistics(night_of(place)) for digest in hashes)
         assert first == second
     assert config_hash(before) != config_hash(after)
 
@@ -82,7 +82,7 @@ def test_only_the_figures_of_nights_with_another_curve_are_made_anew() -> None:
 def test_motors_of_a_circuit_share_its_file(configs: Path) -> None:
     (configs / "oil_circuits").mkdir()
     add(configs, "oil_circuits/winch.toml", SAMPLE)
-    found = {one.motor_id: one.circuit_samples for one in load(configs).motors}
+    found = {motor.motor_id: motor.circuit_samples for motor in load(configs).motors}
     assert {name for name, samples in found.items() if samples} == {"CB1120-01", "CB1120-02"}
 
 
@@ -91,7 +91,7 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
     for name in ("winch", "wench"):
         add(configs, f"oil_circuits/{name}.toml", SAMPLE)
     add(configs, "motors/CB1120-01.toml", SAMPLE)
-    assert {(one.file, one.key) for one in faults(configs)} == {
+    assert {(fault.file, fault.key) for fault in faults(configs)} == {
         ("oil_circuits/wench.toml", ""),
         ("motors/CB1120-01.toml", "oil_samples"),
     }
@@ -100,7 +100,7 @@ def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) ->
 def test_an_oil_with_a_fault_is_told_beside_its_analyses(configs: Path) -> None:
     change(configs, "oils/vg68.toml", "density_15_c_kg_per_m3", "density")
     add(configs, "motors/CB400-01.toml", SAMPLE)
-    assert {one.file for one in faults(configs)} == {"oils/vg68.toml"}
+    assert {fault.file for fault in faults(configs)} == {"oils/vg68.toml"}
 
 
 def test_a_motors_file_that_is_no_toml_leaves_its_circuit_alone(configs: Path) -> None:
@@ -108,4 +108,4 @@ def test_a_motors_file_that_is_no_toml_leaves_its_circuit_alone(configs: Path) -
     add(configs, "oil_circuits/winch.toml", SAMPLE)
     for name in ("CB1120-01", "CB1120-02"):
         add(configs, f"motors/{name}.toml", "broken =")
-    assert {one.file[:13] for one in faults(configs)} == {"motors/CB1120"}
+    assert {fault.file[:13] for fault in faults(configs)} == {"motors/CB1120"}

@@ -73,8 +73,8 @@ def remembered_fits() -> Iterator[None]:
 
     def fit(spec: Any, night: Any, channels: Mapping[str, Any]) -> NightOutcome:
         content = tuple(
-            (name, one.time_us.tobytes(), one.value.tobytes())
-            for name, one in sorted(channels.items())
+            (name, channel.time_us.tobytes(), channel.value.tobytes())
+            for name, channel in sorted(channels.items())
         )
         key = (spec.motor_id, night, content)
         if key not in known:

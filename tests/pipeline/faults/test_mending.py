@@ -141,7 +141,7 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
     for path in sorted((output / "tables").rglob("*.parquet")):
         whole = path.read_bytes()
         flip(path, int(rng.integers(len(whole))))
-        assert [one.path for one in verify_tables(output)] == [name_of(output, path)]
+        assert [table.path for table in verify_tables(output)] == [name_of(output, path)]
         path.write_bytes(whole)
 
 

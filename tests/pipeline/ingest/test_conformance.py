@@ -89,7 +89,10 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
     record = FileRecord(f"log.{form.log_format}", 1, 1, "x")
 
     def read(**cells: Cell) -> Any:
-        rows = [Row(one.time_us, {**one.cells, **cells}) for one in pressures([200.0] * 5)]
+        rows = [
+            Row(pressure.time_us, {**pressure.cells, **cells})
+            for pressure in pressures([200.0] * 5)
+        ]
         return form.read(tmp_path, rows)
 
     log = read(dp=None, T=None, q=None)

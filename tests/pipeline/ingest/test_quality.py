@@ -134,7 +134,7 @@ def test_what_the_log_does_not_call_good_is_bad(write: Way, tmp_path: Path) -> N
     assert speed.missing.tolist() == [value is None for value in VALUES]
     assert speed.value[~speed.missing].tolist() == [float(i) for i in range(1, 10)]
     assert not speed.bad_quality.flags.writeable
-    assert all(one.bad_quality is None for one in others.values())
+    assert all(other.bad_quality is None for other in others.values())
 
 
 @every_way

@@ -107,5 +107,9 @@ def test_each_of_several_files_gives_its_channels(tmp_path: Path, kind: str) -> 
     ):
         write(tmp_path / name, kind, dict(cells))
         log = read_log(tmp_path / name, *source)
-        found = {key: one.value.tolist() for key, one in log.channels.items() if len(one.value)}
+        found = {
+            key: channel.value.tolist()
+            for key, channel in log.channels.items()
+            if len(channel.value)
+        }
         assert found == {key: [value] for key, value in expected.items()}

@@ -89,7 +89,7 @@ def test_a_sample_before_the_night_carries_over(
     found = cleaned(seconds, values, **keys)
     np.testing.assert_allclose(at(found, *expected), list(expected.values()))
     # It belongs to the night before, which has counted it.
-    assert found.n_samples == sum(one >= 0 for one in seconds)
+    assert found.n_samples == sum(second >= 0 for second in seconds)
     assert found.counts["backward_time"] == found.counts.get("no_interval", 0) == 0
 
 

@@ -309,7 +309,7 @@ def check_unfitted(found: Any, outcome: str, words: list[str]) -> None:
     row = fit_of(found.rows)
     assert row["status"] == outcome
     assert row["reason"] == found.reason
-    assert all(one in row["reason"] for one in words), row["reason"]
+    assert all(word in row["reason"] for word in words), row["reason"]
     assert row["error_code"] == found.error_code
     assert row.get("window_start") is None
     assert row.get("fitted_leakage_l_per_min") is None

@@ -66,7 +66,7 @@ def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object
         figures[f"n_{part}"] = judged.n
         figures[f"{part}_fit_percent"] = judged.fit_percent
         figures[f"{part}_rmse_l_per_min"] = judged.rmse_l_per_min
-    differing = {name: one for name, one in figures.items() if one != fit[name]}
+    differing = {name: figure for name, figure in figures.items() if figure != fit[name]}
     columns = found.columns()
     for at, name in enumerate(columns["parameter"]):
         (row,) = [one for one in rows["parameters"] if one["parameter"] == name]

@@ -65,7 +65,7 @@ class Server:
         return "250 OK"
 
     def authenticate(self, *arguments: object) -> AuthResult:
-        (given,) = (one for one in arguments if isinstance(one, LoginPassword))
+        (given,) = (argument for argument in arguments if isinstance(argument, LoginPassword))
         self.logins.append((given.login, given.password))
         return AuthResult(success=given.password == PASSWORD.encode(), handled=False)
 

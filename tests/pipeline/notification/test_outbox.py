@@ -55,7 +55,7 @@ class Fake:
         return [one for document in self.taken for one in document["changes"]]
 
     def motors(self) -> list[str]:
-        return [one["motor_id"] for one in self.changes()]
+        return [change["motor_id"] for change in self.changes()]
 
 
 @pytest.fixture(autouse=True)
@@ -75,8 +75,8 @@ def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -
 
 def publish(output: Path, *rows: dict[str, Any]) -> None:
     """Put the rows of each night, in place of those that it has."""
-    for night in {one["night"] for one in rows}:
-        here = [one for one in rows if one["night"] == night]
+    for night in {row["night"] for row in rows}:
+        here = [row for row in rows if row["night"] == night]
         write_nights(output, ALARMS, frame(ALARMS, here))
 
 
@@ -89,14 +89,14 @@ def run(
 ) -> tuple[str, ...]:
     """The steps of a run that publishes some rows."""
     with open_state(output) as state:
-        open_outbox(state, [one.name for one in receivers])
+        open_outbox(state, [receiver.name for receiver in receivers])
         publish(output, *rows)
         pass_over(state, silent)
         return deliver(state, receivers, fleet)
 
 
 def undelivered(output: Path, *receivers: Fake) -> list[int]:
-    return [one.undelivered for one in backlogs(output, receivers)]
+    return [backlog.undelivered for backlog in backlogs(output, receivers)]
 
 
 def deaf(**more: Any) -> Fake:
@@ -146,7 +146,7 @@ def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
     rows = [*past, words, row("M2"), row("M1", FIRST + dt.timedelta(1))]
     run(tmp_path, rows, receiver, silent=[one["id"] for one in (*past, words)])
     run(tmp_path, rows, receiver)
-    found = [(one["motor_id"], one["change"]) for one in receiver.changes()[2:]]
+    found = [(change["motor_id"], change["change"]) for change in receiver.changes()[2:]]
     assert found == [("M2", "changed"), ("M1", "new")]
 
 
@@ -194,7 +194,7 @@ def test_a_row_that_says_again_what_it_said_before_is_no_repeat(tmp_path: Path) 
     receiver = Fake()
     for state in ("alarm", "warning", "alarm", "alarm"):
         run(tmp_path, [row("M1", state=state)], receiver)
-    assert [one["to_state"] for one in receiver.changes()] == ["alarm", "warning", "alarm"]
+    assert [change["to_state"] for change in receiver.changes()] == ["alarm", "warning", "alarm"]
     # A delivery has no more rows than a receiver can hold.
     run(tmp_path, [row(f"M{n}") for n in range(2, MOST_CHANGES + 3)], receiver)
     assert [len(document["changes"]) for document in receiver.taken[3:]] == [MOST_CHANGES, 1]
@@ -206,7 +206,7 @@ def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
     def ids(folder: str, fleet: str, name: str, *motors: str) -> tuple[str, list[str]]:
         receiver = Fake(name)
         run(tmp_path / folder, map(row, motors), receiver, fleet=fleet)
-        return receiver.taken[0]["id"], [one["change_id"] for one in receiver.changes()]
+        return receiver.taken[0]["id"], [change["change_id"] for change in receiver.changes()]
 
     first = ids("a", FLEET, "command", "M1")
     assert ids("b", FLEET, "command", "M1") == first
@@ -251,7 +251,7 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
         run(tmp_path, [row("M1", FIRST + dt.timedelta(1))], receiver)
     receiver.refuses = lambda _: False
     run(tmp_path, [], receiver)
-    assert [one["night"] for one in receiver.changes()] == ["2026-02-18", "2026-02-17"]
+    assert [change["night"] for change in receiver.changes()] == ["2026-02-18", "2026-02-17"]
 
 
 def test_what_a_killed_run_published_is_told_and_a_damaged_table_waits(

@@ -89,7 +89,7 @@ def state_of(motor: str, state: str = "ok", **more: Any) -> MotorState:
 
 def publish_latest(output: Path, states: Iterable[MotorState]) -> None:
     """Write the table `latest`."""
-    rows = [{**one.row, "run_id": "r"} for one in states]
+    rows = [{**state.row, "run_id": "r"} for state in states]
     write_table(whole_file(output, LATEST), frame(LATEST, rows))
 
 

@@ -90,9 +90,9 @@ def test_a_state_has_its_words_beside_it_and_old_data_are_marked(
     visit(browser, told / "index.html")
     cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
     assert cells[0].text == "alarm\nLook at the balance sleeve at the next stop."
-    assert "insufficient\n3 of 8 nights. Wait." in [one.text for one in cells]
+    assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
     # 11 UTC is noon in the fleet's zone; all is long ago.
-    old = [one.text for one in browser.find_elements(By.CSS_SELECTOR, "time.old")]
+    old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
     assert old[0].startswith("2026-01-05 12:00 (")
     assert old[0].endswith(" days ago)")
     assert len(old) == 1 + MOTORS
@@ -175,7 +175,7 @@ def test_every_motor_s_page_prints_as_a_work_order_on_one_sheet(
         sheet = browser.find_element(By.CLASS_NAME, "sheet")
         assert not sheet.is_displayed()
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-        parts = [one.text for one in sheet.find_elements(By.CSS_SELECTOR, "tbody th")]
+        parts = [element.text for element in sheet.find_elements(By.CSS_SELECTOR, "tbody th")]
         assert parts == ["piston ring", "balance piston", "balance sleeve", "cam roller"]
         for words in ("Not opened", "Measured gap", "Signature", f"ack CONFIG {page.stem}"):
             assert words in sheet.text
@@ -190,7 +190,7 @@ def test_no_button_sends_a_chart_away(browser: Chrome, report: Path) -> None:
     drawn(browser)
     buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
     wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
-    assert {one.get_dom_attribute("data-title") for one in buttons} == wanted
+    assert {button.get_dom_attribute("data-title") for button in buttons} == wanted
     assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
 
 

@@ -220,7 +220,7 @@ def test_a_new_version_of_the_program_is_named(
 
 
 def outcome_of(request: RunRequest, motor_id: str = "M1") -> MotorOutcome:
-    found = {one.motor_id: one for one in run_fleet(request).outcomes}
+    found = {outcome.motor_id: outcome for outcome in run_fleet(request).outcomes}
     return found[motor_id]
 
 

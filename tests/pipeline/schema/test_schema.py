@@ -72,8 +72,10 @@ def test_tables_and_columns_are_few() -> None:
 
 
 def test_latest_has_the_names_of_nights() -> None:
-    assert [one for one in NIGHTS.columns if one.name != "run_id"] == [
-        one for one in LATEST.columns if one.name in NIGHTS.schema and one.name != "run_id"
+    assert [column for column in NIGHTS.columns if column.name != "run_id"] == [
+        column
+        for column in LATEST.columns
+        if column.name in NIGHTS.schema and column.name != "run_id"
     ]
 
 
@@ -119,7 +121,7 @@ def test_intervals_come_in_pairs_around_a_figure_of_the_same_unit(table: Table) 
         if name.endswith("_lower"):
             ends = [columns[name], columns[f"{name.removesuffix('lower')}upper"]]
             figure = columns[_figure_of(columns[name], table)]
-            assert [one.unit for one in ends] == [figure.unit] * 2, name
+            assert [end.unit for end in ends] == [figure.unit] * 2, name
     assert len([one for one in columns if one.endswith("_lower")]) == len(
         [one for one in columns if one.endswith("_upper")]
     )

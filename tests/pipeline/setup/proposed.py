@@ -59,17 +59,21 @@ def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "
     answers: dict[str, str] = {}
     for _ in range(4):
         found = propose(source, answers)
-        for one in found.questions:
-            if one.key.startswith("unit of"):
-                channel = one.text.split("unit of ")[1].split(" (")[0].replace(" ", "_")
-                answers[one.key] = (units or {}).get(channel, canonical_unit(channel))
-            elif one.key.startswith("time_format"):
-                answers[one.key] = form or one.choices[0]
-            elif "pressure" in one.key:
-                high = [n for n in one.choices if meaning_of(n).channel == "high_port_pressure"]
-                answers[one.key] = (*high, *one.choices)[0]
+        for question in found.questions:
+            if question.key.startswith("unit of"):
+                channel = question.text.split("unit of ")[1].split(" (")[0].replace(" ", "_")
+                answers[question.key] = (units or {}).get(channel, canonical_unit(channel))
+            elif question.key.startswith("time_format"):
+                answers[question.key] = form or question.choices[0]
+            elif "pressure" in question.key:
+                high = [
+                    n for n in question.choices if meaning_of(n).channel == "high_port_pressure"
+                ]
+                answers[question.key] = (*high, *question.choices)[0]
             else:
-                answers[one.key] = "UTC" if one.key == "time_zone" else one.choices[0]
+                answers[question.key] = (
+                    "UTC" if question.key == "time_zone" else question.choices[0]
+                )
     assert not found.questions, found.questions
     return found
 
@@ -77,7 +81,9 @@ def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "
 def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
     """The logs of a motor, found and read with what is proposed."""
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
-    channels: Any = {name: Channel.model_validate(one.keys) for name, one in motor.channels.items()}
+    channels: Any = {
+        name: Channel.model_validate(channel.keys) for name, channel in motor.channels.items()
+    }
     found = sorted({path for pattern in logs.files for path in root.glob(pattern)})
     assert set(motor.files) <= set(found), "the patterns do not find the logs"
     return [read_log(path, logs, channels) for path in found]

@@ -54,12 +54,12 @@ def test_a_sound_fleet_of_which_no_log_is_hashed_or_read_to_its_end(
     monkeypatch.setattr("pipeline.logs.files.read_log", forbidden)
     checks = checks_of(demo_folder / "configs" / "fleet.toml")
     assert list(checks) == MOTORS
-    for motor, one in checks.items():
-        assert motor.startswith(one.motor_type)
-        assert (one.n_files, one.n_nights) == (3, 3)
-        assert (one.first, one.last) == ("2026-01-02", "2026-01-04")
-        assert one.faults == ()
-        assert one.placeholders
+    for motor, check in checks.items():
+        assert motor.startswith(check.motor_type)
+        assert (check.n_files, check.n_nights) == (3, 3)
+        assert (check.first, check.last) == ("2026-01-02", "2026-01-04")
+        assert check.faults == ()
+        assert check.placeholders
     assert [checks[motor].log_format for motor in MOTORS] == [
         *("parquet", "mcap", "csv", "parquet", "mcap", "csv")
     ]
@@ -125,7 +125,7 @@ def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
 
 
 def channels_of(fleet: Path, motor: str) -> dict[str, ChannelCheck]:
-    return {one.channel: one for one in checks_of(fleet)[motor].channels}
+    return {channel.channel: channel for channel in checks_of(fleet)[motor].channels}
 
 
 def test_each_channel_of_the_newest_log_is_described_and_nothing_written(
@@ -136,9 +136,9 @@ def test_each_channel_of_the_newest_log_is_described_and_nothing_written(
     channels = channels_of(fleet, "CB400-01")
     assert sorted(fleet.parent.parent.rglob("*")) == before
     assert set(channels) == {"pressure_difference", "oil_temperature", "speed", "leakage_flow"}
-    for name, one in channels.items():
-        assert one.rate_hz == pytest.approx(1.0 if name == "oil_temperature" else 5.0, rel=0.01)
-        assert 0 <= one.share_missing <= one.share_refused < 0.2
+    for name, channel in channels.items():
+        assert channel.rate_hz == pytest.approx(1.0 if name == "oil_temperature" else 5.0, rel=0.01)
+        assert 0 <= channel.share_missing <= channel.share_refused < 0.2
     assert 30 < (channels["oil_temperature"].median or 0) < 70
 
 
@@ -214,7 +214,7 @@ def test_what_a_night_has(
     tmp_path: Path, minutes: float, values: dict[str, ArrayLike], words: tuple[str, ...]
 ) -> None:
     note = logged(tmp_path, minutes=minutes, **values).notes[0]
-    assert all(one in note for one in words), note
+    assert all(word in note for word in words), note
 
 
 def test_two_motors_on_the_same_logs_and_two_channels_on_one_column(tmp_path: Path) -> None:
@@ -333,10 +333,16 @@ def test_a_column_or_unit_that_changes_is_told_with_the_date(
         return header
 
     faults = checks_of(daily_logs(tmp_path, header_of))["M1"].faults
-    changes = [one.split(";")[0] for one in faults if one.startswith(("column_gone", "unit_ch"))]
-    assert [re.sub(r"the log of 1\d March 2026 \((\S+)\)", r"\1", one) for one in changes] == told
+    changes = [
+        fault.split(";")[0] for fault in faults if fault.startswith(("column_gone", "unit_ch"))
+    ]
+    assert [
+        re.sub(r"the log of 1\d March 2026 \((\S+)\)", r"\1", change) for change in changes
+    ] == told
     renamed = "new in it: 'T_OIL'; no longer in it: 'oil_temperature'"
-    assert any(one.endswith(renamed) for one in faults) == any("T_OIL" in one for one in changed)
+    assert any(fault.endswith(renamed) for fault in faults) == any(
+        "T_OIL" in one for one in changed
+    )
 
 
 # Apparent sampling of a channel, on a flow logged in each way by its definition
@@ -380,8 +386,8 @@ def test_readings_of_a_clock_look_as_configured() -> None:
 def test_values_sent_on_change_look_it(steps: int) -> None:
     """A sample where a scan finds a value further than the dead band from the one last sent."""
     (time_s, scans), kept = sampled(READ, 0.2), [0]
-    for i, one in enumerate(scans.tolist()):
-        if abs(one - scans[kept[-1]]) > steps * RESOLUTION * (1.0 + 1e-9):
+    for i, scan in enumerate(scans.tolist()):
+        if abs(scan - scans[kept[-1]]) > steps * RESOLUTION * (1.0 + 1e-9):
             kept.append(i)
     logged = time_s[kept], scans[kept]
     said = note(logged)

@@ -65,8 +65,8 @@ def require_it_reads(source: Path, folder: Path, n_motors: int) -> None:
         assert logs
         for path in logs.values():
             log = read_log(path, spec.file.logs, spec.file.channels)
-            assert {len(one.value) for one in log.channels.values()} == {ROWS}
-            assert sum(one.unparsed for one in log.channels.values()) == 0
+            assert {len(channel.value) for channel in log.channels.values()} == {ROWS}
+            assert sum(channel.unparsed for channel in log.channels.values()) == 0
 
 
 LEAST_RIGHT = {"known": 0.97, "held out": 0.9, "blind": 0.9, "plants": 1.0}
@@ -103,7 +103,7 @@ def test_most_channels_are_right_at_first_sight_and_none_is_wrong(
     tmp_path: Path, group: str
 ) -> None:
     styles = STYLES[group].values()
-    total = sum((score_of_style(one, tmp_path) for one in styles), Counter[str]())
+    total = sum((score_of_style(style, tmp_path) for style in styles), Counter[str]())
     assert total["wrong"] == 0
     assert total["right"] >= LEAST_RIGHT[group] * total.total() > 50
 
@@ -127,7 +127,8 @@ def test_a_motors_nights_are_found_by_a_pattern_that_finds_no_other_motors(tmp_p
         header = "time,dp [bar],T [°C],n [rpm],leak [l/min]"
         seconds(tmp_path / f"{name}.csv", header, ",200.5,45.5,30.5,1.5")
     found = {
-        one.motor_id: (one.logs["files"], len(one.files)) for one in propose(tmp_path, {}).motors
+        motor.motor_id: (motor.logs["files"], len(motor.files))
+        for motor in propose(tmp_path, {}).motors
     }
     assert found == {"W1": (["W1_[0-9]*.csv"], 2), "W1_b": (["W1_b_*.csv"], 1)}
 
@@ -136,7 +137,7 @@ def test_motors_of_one_name_have_ids_of_their_own(tmp_path: Path) -> None:
     for folder in ("A", "B"):
         header = "time,dp [bar],T [°C],n [rpm],leak [l/min]"
         seconds(tmp_path / folder / "M1" / "a.csv", header, ",200.5,45.5,30.5,1.5")
-    assert [one.motor_id for one in propose(tmp_path, {}).motors] == ["M1", "M1-2"]
+    assert [motor.motor_id for motor in propose(tmp_path, {}).motors] == ["M1", "M1-2"]
 
 
 def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
@@ -160,7 +161,7 @@ def test_motors_alike_are_asked_about_once(tmp_path: Path) -> None:
     answers = {"A1.leakage_flow": "A1_flow_2 [l/min]", "B1.leakage_flow": "B1_flow_1 [l/min]"}
     found = propose(tmp_path / "plant", answers)
     assert not found.questions
-    flows = {one.motor_id: one.channels["leakage_flow"].name for one in found.motors}
+    flows = {motor.motor_id: motor.channels["leakage_flow"].name for motor in found.motors}
     assert {name: flow[3:9] for name, flow in flows.items()} == {
         **dict.fromkeys(("A1", "A2", "B2"), "flow_2"),
         "B1": "flow_1",
@@ -178,7 +179,7 @@ def test_rows_of_several_motors_are_motors(tmp_path: Path, column: str) -> None:
     log = tmp_path / "log.csv"
     log.write_text("\n".join([header, *rows]) + "\n", "utf-8")
     found = propose(log, {})
-    assert [one.motor_id for one in found.motors] == ["Presse-1", "Presse-2"]
+    assert [motor.motor_id for motor in found.motors] == ["Presse-1", "Presse-2"]
     assert not found.questions
     assert found.motors[1].logs["motor_name"] == "Presse 2"
     # Without stamps in common, only a name tells a motor from a state.
@@ -272,7 +273,7 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
         log.parent.mkdir(parents=True)
         log.write_text("\n".join([header, *rows, ""]), "cp1252")
     source = tmp_path / "mill" / "logs"
-    asked = {one.key: one for one in propose(source, {}).questions}
+    asked = {question.key: question for question in propose(source, {}).questions}
     assert set(asked) == {"time_zone", "M1.high_port_pressure"}
     # The higher one is shown first.
     assert asked["M1.high_port_pressure"].choices == ("Druck 2 [bar]", "Druck 1 [bar]", "none")
@@ -292,7 +293,7 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     files["fleet.toml"] = files["fleet.toml"].replace(*own)
     write_fleet(files, to, shipped_configs(), "CB560")
     options = ["init", str(source), "--to", str(to), "--add", "--write"]
-    options += [part for one in answers.items() for part in ("--answer", "=".join(one))]
+    options += [part for item in answers.items() for part in ("--answer", "=".join(item))]
     assert RUN(app, options).exit_code == 0
     maxima = {
         one.motor_id: one.file.channels["speed"].sensor_maximum

@@ -137,12 +137,12 @@ def test_parquet_with_times_in_text_and_units_in_the_metadata(
     stamps = [f"13.03.2025 06:00:{i:02}" for i in range(30)]
     columns = {"time": pa.array(stamps)}
     if is_apart:
-        dates, clocks = zip(*(one.split() for one in stamps), strict=True)
+        dates, clocks = zip(*(stamp.split() for stamp in stamps), strict=True)
         columns = {"Date": pa.array(dates), "Time": pa.array(clocks)}
     columns |= {n: pa.array(v) for n, v in zip("ptnq", log.values.values(), strict=True)}
-    fields = [pa.field(name, one.type) for name, one in columns.items()]
+    fields = [pa.field(name, column.type) for name, column in columns.items()]
     fields[-4:] = [
-        one.with_metadata({"unit": u}) for one, u in zip(fields[-4:], units, strict=True)
+        field.with_metadata({"unit": u}) for field, u in zip(fields[-4:], units, strict=True)
     ]
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), path)
@@ -175,7 +175,7 @@ def test_what_cannot_be_told_is_a_question(tmp_path: Path) -> None:
     rows = b"2025-03-01 06:00:00,20130,7.5,me\n2025-03-01 06:00:01,20140,7.4,me\n"
     path = log_in(tmp_path, b"time,dp,n,T,who\n" + rows.replace(b"7.", b"8.5,7."))
     found = propose(path, {})
-    asked = {one.key: one.choices for one in found.questions}
+    asked = {question.key: question.choices for question in found.questions}
     assert asked["unit of dp"] == ("kPa", "mbar")
     assert asked["log.leakage_flow"] == ("dp", "n", "T")
 

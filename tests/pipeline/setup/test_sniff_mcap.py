@@ -79,7 +79,7 @@ def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -
 
     motor = require_it_reads(json_log(tmp_path, {"/drive": message}), 0)
     assert motor.logs["stamp"] == "stamp"
-    channels = {name: one.keys for name, one in motor.channels.items()}
+    channels = {name: channel.keys for name, channel in motor.channels.items()}
     assert channels["pressure_difference"]["field"] == r"hydraulics.pressure\.diff.value"
     assert channels["pressure_difference"]["unit"] == "kPa"
     assert channels["leakage_flow"]["field"] == "readings[0].drain_flow_lpm"

@@ -69,8 +69,8 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
     with Heartbeat(tmp_path, 1, None) as heartbeat:
         heartbeat.say()
         heartbeat.finished(interrupted=False, good=True)
-    assert [one.message[:13] for one in caplog.records] == ["no heartbeat:"]
-    assert [one.name for one in tmp_path.iterdir()] == ["heartbeat.json"]
+    assert [record.message[:13] for record in caplog.records] == ["no heartbeat:"]
+    assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
 
 
 def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ NIGHTS = tuple(dt.date(2026, 1, day) for day in (3, 4, 9, 31))
 
 def published(output: Path) -> list[tuple[str, str, int, str]]:
     found = read_table(night_file(output, QUALITY, NIGHT), QUALITY)
-    return [tuple(one) for one in found.select("motor_id", "reason", "n_refused", "run_id").rows()]
+    return [tuple(row) for row in found.select("motor_id", "reason", "n_refused", "run_id").rows()]
 
 
 class TestStaged:
@@ -115,7 +115,7 @@ class TestRows:
         def rows(motor: str, nights: list[dt.date]) -> dict[Table, dict[dt.date, list[Row]]]:
             reasons = data.draw(st.permutations("ab"))
             return {
-                QUALITY: {n: [row(motor, one, night=n) for one in reasons] for n in nights},
+                QUALITY: {n: [row(motor, reason, night=n) for reason in reasons] for n in nights},
                 BLOCKS: {n: [{"motor_id": motor, "night": n}] for n in nights},
             }
 

@@ -157,7 +157,7 @@ class Nights:
                 "coefficients": theta.tolist(),
             }
         )
-        rows["blocks"] += [key | one for one in self._blocks(place, theta)]
+        rows["blocks"] += [key | block for block in self._blocks(place, theta)]
         for name, value in zip(PATHS, theta, strict=False):
             interval = {"lower": 0.97 * value, "upper": 1.03 * value}
             rows["parameters"].append(
@@ -268,25 +268,25 @@ def fleet_of(
     folders = '[folders]\nlogs = "../logs"\noutput = "../out"\n'
     header = f'name = "Tests"\nlive = false\n{folders}{QUICK}{fleet}'
     files = {}
-    for one in motors:
-        file = one.spec.file
+    for motor in motors:
+        file = motor.spec.file
         text = motor_toml(file.motor_id, file.motor_type, more=(more or {}).get(file.motor_id, ""))
         files[file.motor_id] = f'oil_circuit = "{file.oil_circuit}"\n{text}'
     config = write_configs(folder, files, {}, fleet=header)
-    publish(folder / "out", *(part_of(one.frames(), 0, until) for one in motors))
+    publish(folder / "out", *(part_of(motor.frames(), 0, until) for motor in motors))
     return config, folder / "out"
 
 
 def publish(output: Path, *motors: Mapping[str, pl.DataFrame]) -> None:
     """Write rows of motors as the tables of an output folder, in place of those of its nights."""
     for table in TABLES:
-        write_nights(output, table, pl.concat([one[table.name] for one in motors]))
+        write_nights(output, table, pl.concat([motor[table.name] for motor in motors]))
 
 
 def part_of(frames: Frames, first: int, end: int) -> Frames:
     """Rows of the nights between two places."""
     here = pl.col("night").is_between(night_of(first), night_of(end), closed="left")
-    return {name: one.filter(here) for name, one in frames.items()}
+    return {name: frame.filter(here) for name, frame in frames.items()}
 
 
 def copy_of(folder: Path, place: Path) -> tuple[Path, Path]:

@@ -40,7 +40,9 @@ def test_many_may_write_at_once(tmp_path: Path) -> None:
     said = [replace(SAID, motor_id=f"M{number}", note="x" * 500) for number in range(40)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda one: record_decision(tmp_path, one), said))
-    assert {one.motor_id for one in read_decisions(tmp_path)} == {one.motor_id for one in said}
+    assert {decision.motor_id for decision in read_decisions(tmp_path)} == {
+        one.motor_id for one in said
+    }
 
 
 @pytest.mark.parametrize("harm", [Path.mkdir, lambda path: path.write_bytes(b"no database" * 99)])

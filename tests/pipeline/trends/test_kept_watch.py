@@ -51,7 +51,7 @@ def check_same(found: Mapping[Table, pl.DataFrame], expected: Mapping[Table, pl.
 
 
 def new_night(config: Path, output: Path, *frames: Frames, place: int) -> None:
-    publish(output, *(part_of(one, place, place + 1) for one in frames))
+    publish(output, *(part_of(frame, place, place + 1) for frame in frames))
     run(config)
 
 
@@ -83,11 +83,11 @@ def test_night_by_night_gives_what_one_run_gives(tmp_path: Path) -> None:
     frames = [one.frames() for one in TANK_NIGHTS]
     for place in (6, 7, 8, 9):
         new_night(config, output, *frames, place=place)
-    publish(output, *(part_of(one, 10, AT - 1) for one in frames))
+    publish(output, *(part_of(frame, 10, AT - 1) for frame in frames))
     run(config)
     for place in range(AT - 1, AT + 4):
         new_night(config, output, *frames, place=place)
-    publish(output, *(part_of(one, AT + 4, N) for one in frames))
+    publish(output, *(part_of(frame, AT + 4, N) for frame in frames))
     run(config)
     for name in TANK:
         check_same(rows(output, name), rows(tmp_path / "whole" / "out", name))

@@ -109,7 +109,7 @@ def tables(output: Path, *nights: tuple[int, str, str, float | None]) -> None:
                 "status": status,
                 "last_sample": at(night_of(place)) if hours else None,
             }
-            for _, motor_id, status, hours in (one for one in nights if one[0] == place)
+            for _, motor_id, status, hours in (night for night in nights if night[0] == place)
         ]
         write_nights(output, NIGHTS, frame(NIGHTS, rows))
 

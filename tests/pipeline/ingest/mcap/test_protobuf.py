@@ -143,7 +143,7 @@ def test_stamps_within_messages_are_cut_off_to_microseconds(
 ) -> None:
     texts = ("2025-03-01T06:00:00.000001999Z", "2025-03-01T06:00:01Z", None)
     payloads = [
-        hydraulics(total=i, **({"stamp": one} if one else {})) for i, one in enumerate(texts)
+        hydraulics(total=i, **({"stamp": text} if text else {})) for i, text in enumerate(texts)
     ]
     log = read(tmp_path, protobuf(payloads, DESCRIPTORS), source_of("total", stamp="stamp"))
     times = log.channels["pressure_difference"].time_us

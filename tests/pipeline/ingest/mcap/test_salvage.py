@@ -125,7 +125,8 @@ def messages_before(data: bytes, start: int) -> int:
     count = 0
     reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True)
     for chunk in islice(
-        (one for one in reader.records if isinstance(one, Chunk)), chunk_starts(data).index(start)
+        (record for record in reader.records if isinstance(record, Chunk)),
+        chunk_starts(data).index(start),
     ):
         count += sum(isinstance(one, Message) for one in breakup_chunk(chunk, validate_crc=True))
     return count
