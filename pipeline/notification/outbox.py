@@ -101,19 +101,21 @@ def pass_over(state: State, ids: Collection[str]) -> None:
     """Let rows of `alarms` that are being published be sent to nobody, by their `id`."""
     if ids:
         rows = _published(state.output, OF_ALARMS)
-        _pass_over(state, OF_ALARMS, {key: row for key, row in rows.items() if row["id"] in ids})
+        silent = {key: row for key, row in rows.items() if row["id"] in ids}
+        for (name,) in state.rows("SELECT receiver FROM queues WHERE topic = ?", ALARMS.name):
+            _note_new(state, name, OF_ALARMS, silent, since="")
 
 
-def pass_over_all(state: State) -> None:
-    """Let all rows as they are published now be sent to nobody."""
+def rename_motor(state: State, old: str, new: str) -> None:
+    """Know a motor's rows by its new name, as which they are published: what waits still does."""
     for topic in (OF_ALARMS, OF_INTRADAY):
-        _pass_over(state, topic, _published(state.output, topic))
-
-
-def _pass_over(state: State, topic: Topic, rows: Mapping[str, Row]) -> None:
-    of = topic.table.name
-    for (name,) in state.rows("SELECT receiver FROM queues WHERE topic = ?", of):
-        _note_new(state, name, topic, rows, since="")
+        keys = []
+        for key, row in _published(state.output, topic).items():
+            if row["motor_id"] == new:
+                # An `id` begins with the motor's name.
+                names = {"motor_id": old, "id": old + row.get("id", "").removeprefix(new)}
+                keys.append((key, topic.table.name, _key(topic, {**row, **names})))
+        state.write_all("UPDATE OR REPLACE notices SET key = ? WHERE topic = ? AND key = ?", keys)
 
 
 def deliver(
@@ -186,27 +188,30 @@ def _published(output: Path, topic: Topic) -> dict[str, Row]:
             rows += read_table(path, topic.table).fill_nan(None).to_dicts()
         except StoreError as error:
             log.warning("alarms: %s; its rows wait until it is whole", error)
-    return {
-        _digest([str(row[name]) for name in topic.table.key]): row
-        for row in rows
-        if topic.is_notified(row)
-    }
+    return {_key(topic, row): row for row in rows if topic.is_notified(row)}
+
+
+def _key(topic: Topic, row: Row) -> str:
+    return _digest([str(row[name]) for name in topic.table.key])
 
 
 def _note_new(
     state: State, name: str, topic: Topic, rows: Mapping[str, Row], *, since: str
 ) -> None:
-    """Note rows that say what the receiver was not sent before; they wait since then, if at all."""
+    """Note rows that say what the receiver was not sent before; they wait since then, if at all.
+
+    What waits goes on waiting, whatever it says now.
+    """
     mine = topic.table.name, name
-    query = f"SELECT key, said, times FROM notices {OF_RECEIVER}"
-    known = {key: (said, times) for key, said, times in state.rows(query, *mine)}
+    query = f"SELECT key, said, times, since FROM notices {OF_RECEIVER}"
+    known = {key: notice for key, *notice in state.rows(query, *mine)}
     new = []
     for key, row in rows.items():
-        said, before = _digest([row[name] for name in topic.content]), known.get(key)
-        if before is None or before[0] != said:
-            # Counted: a row that changes back is sent again.
-            times = 0 if before is None else before[1] + 1
-            new.append((*mine, key, said, times, since))
+        words = _digest([row[name] for name in topic.content])
+        # Counted: a row that changes back is sent again.
+        before, times, waits = known.get(key, ("", -1, ""))
+        if words != before:
+            new.append((*mine, key, words, times + 1, waits or since))
     state.write_all("INSERT OR REPLACE INTO notices VALUES (?, ?, ?, ?, ?, ?, 0)", new)
 
 

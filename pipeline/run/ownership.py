@@ -12,7 +12,7 @@ import polars as pl
 
 from pipeline.config import Fleet
 from pipeline.errors import StoreError, UsageError
-from pipeline.notification.outbox import pass_over_all
+from pipeline.notification.outbox import rename_motor
 from pipeline.schema import DECISIONS, RUNS, TABLES, Table
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import State, read_state_file
@@ -74,7 +74,6 @@ def take_over_renamed(state: State, staging: Path, fleet: Fleet) -> None:
     """Give motors that were renamed what is published of them under the names before.
 
     Each file is replaced whole, and the state last: where it is broken off, the next run goes on.
-    Nobody is told of it again.
     """
     present = {spec.motor_id for spec in fleet.motors}
     known = {motor_id for (motor_id,) in state.rows("SELECT motor_id FROM motors")}
@@ -83,7 +82,7 @@ def take_over_renamed(state: State, staging: Path, fleet: Fleet) -> None:
         if old in known - present:
             _rename_rows(state, staging, old, new)
             with state.transaction():
-                pass_over_all(state)
+                rename_motor(state, old, new)
                 _rename_state(state, old, new)
 
 

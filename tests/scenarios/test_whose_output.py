@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 import shutil
 from pathlib import Path
 
@@ -106,15 +107,20 @@ def test_a_motor_that_is_gone_stays_until_a_person_confirms_it(plant: ScenarioFl
     assert {**plant.newest("broken"), "run_id": ""} == {**before, "run_id": ""}
 
 
+def rename(plant: ScenarioFleet) -> None:
+    """Call the motor `broken` M7."""
+    old = plant.config.parent / "motors" / "broken.toml"
+    text = old.read_text().replace('motor_id = "broken"', 'motor_id = "M7"\nformerly = "broken"')
+    old.with_name("M7.toml").write_text(text)
+    old.unlink()
+
+
 def test_a_renamed_motor_keeps_its_history_and_its_alarm(plant: ScenarioFleet) -> None:
     plant.run("ack", "broken", "--note", "ordered")
     plant.run("fit-fleet")
     names = ("nights", "fits", "blocks", "quality", "trends", "latest")
     before = {name: plant.table(name) for name in names}
-    old = plant.config.parent / "motors" / "broken.toml"
-    text = old.read_text().replace('motor_id = "broken"', 'motor_id = "M7"\nformerly = "broken"')
-    old.with_name("M7.toml").write_text(text)
-    old.unlink()
+    rename(plant)
     for number in range(1, 5):
         plant.log("broken", number).unlink()
     done = plant.run("fit-fleet", "--json")
@@ -131,6 +137,31 @@ def test_a_renamed_motor_keeps_its_history_and_its_alarm(plant: ScenarioFleet) -
         assert_frame_equal(now.sort(key), moved.sort(key), check_exact=True)
     assert plant.newest("M7")["acknowledged"] == "ordered"
     assert plant.run("check", "--tables").code == 0
+
+
+def test_a_change_that_waits_for_a_receiver_is_sent_once_under_the_new_name(
+    plant: ScenarioFleet,
+) -> None:
+    refused, taken = plant.folder / "refused", plant.folder / "taken"
+    script = 'cat > "$0"; [ -e "$1" ] && cat "$0" >> "$1" && echo >> "$1"'
+    command = json.dumps(["/bin/sh", "-c", script, str(refused), str(taken)])
+    plant.append("fleet.toml", f"[alarms]\ncommand = {command}\n")
+    plant.run("fit-fleet")
+    plant.change("fleet.toml", "[alarms]\n", "[alarms]\nalarm_percent = 15.0\n")
+    plant.run("fit-fleet")
+    waiting = json.loads(refused.read_text())["changes"]
+    assert {row["motor_id"] for row in waiting} == {"broken", "worn"}
+    rename(plant)
+    taken.touch()
+    for _ in range(2):
+        assert plant.run("fit-fleet").code == 0
+    lines = taken.read_text().splitlines()
+    sent = [row for line in lines for row in json.loads(line)["changes"]]
+    names = {"broken": "M7", "worn": "worn"}
+    expected = [(names[row["motor_id"]], row["night"], row["to_state"]) for row in waiting]
+    assert sorted((row["motor_id"], row["night"], row["to_state"]) for row in sent) == expected
+    (fleet,) = plant.run("status", "--json").events("fleet")
+    assert [receiver["undelivered"] for receiver in fleet["receivers"]] == [0]
 
 
 @pytest.mark.parametrize("live", [True, False])
