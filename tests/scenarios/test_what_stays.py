@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,9 +15,10 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from tests.scenarios.covering import covers
-from tests.scenarios.fleets import DAY, ScenarioFleet, make_fleet
+from tests.scenarios.fleets import DAY, ScenarioFleet, Simulated, make_fleet
 
 TEN_MINUTES = 600
+STANDING = ("alarm", "warning")
 Fate = Callable[[ScenarioFleet], None]
 
 
@@ -137,6 +140,32 @@ def test_logs_that_come_back_make_the_night_anew(fleet: ScenarioFleet, tmp_path:
     assert (motor["nights"], motor["stays"]) == ({"ok": 1}, {})
     assert_frame_equal(figures(fleet), before)
     assert [row["log_note"] for row in fleet.nights("M1")] == [None] * 4
+
+
+def test_an_alarm_that_corrected_logs_do_not_show_closes_as_recomputed(
+    plant: ScenarioFleet,
+) -> None:
+    told = plant.folder / "told"
+    command = json.dumps(["/bin/sh", "-c", 'cat >> "$0"; echo >> "$0"', str(told)])
+    plant.append("fleet.toml", f"[alarms]\ncommand = {command}\n")
+    plant.run("fit-fleet")
+    alarms = plant.table("alarms").filter(pl.col("motor_id") == "broken").drop("run_id")
+    raised = alarms.row(-1, named=True)
+    assert raised["to_state"] in STANDING
+    sound = replace(plant, motors={"broken": Simulated("broken")})
+    for number in range(14, 21):
+        sound.write_night("broken", number)
+    assert plant.run("fit-fleet").code == 0
+    now = plant.table("alarms").filter(pl.col("motor_id") == "broken").drop("run_id")
+    assert_frame_equal(now.head(alarms.height), alarms)  # nothing that was raised is gone
+    (closing,) = now[alarms.height :].to_dicts()
+    assert (closing["from_state"], closing["to_state"]) == (raised["to_state"], "ok")
+    assert closing["closed_as"] == "recomputed"
+    assert f"what was raised on {raised['night']} is not in the figures" in closing["sentence"]
+    assert plant.newest("broken")["state"] == "ok"
+    (delivery,) = map(json.loads, told.read_text().splitlines())
+    (row,) = delivery["changes"]
+    assert (row["id"], row["closed_as"]) == (closing["id"], "recomputed")
 
 
 SETTINGS = {
