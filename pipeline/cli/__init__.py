@@ -19,7 +19,7 @@ from pipeline.cli.arguments import (
     EXIT_TERMINATED,
     EXIT_USAGE,
 )
-from pipeline.errors import LockedError, LogError, MotorLeakageError, UsageError
+from pipeline.errors import LockedError, LogError, MotorLeakageError, StoreError, UsageError
 from pipeline.messages import error_line, speak
 
 SIGNALS = {EXIT_INTERRUPTED: "SIGINT (Ctrl-C)", EXIT_TERMINATED: "SIGTERM"}
@@ -107,6 +107,9 @@ def main() -> NoReturn:
         code = _call(as_json=as_json)
     except MotorLeakageError as raised:
         code, error = _exit_code(raised), raised
+    except PermissionError as refused:  # of a folder that may not be entered
+        what = f"{refused.filename} cannot be read: {refused.strerror}"
+        code, error = EXIT_NOTHING_PUBLISHED, StoreError("store_read", what)
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     if code in SIGNALS:

@@ -28,29 +28,34 @@ GLOB_CHARACTERS = frozenset("*?[")
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
     """A motor's log files by path below the log root, and those that are named but absent.
 
-    The `silent` files and patterns did not answer, and are not looked at.
+    The `silent` files and patterns did not answer, and are not looked at. A pattern whose folder
+    may not be entered stands among the files: as a log that cannot be read.
     """
     root = spec.log_root
     found: set[Path] = set()
+    refused: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
         named, is_glob = root / pattern, bool(GLOB_CHARACTERS & set(pattern))
         if pattern in silent:
             found |= set() if is_glob else {named}
             continue
-        with reading(pattern, is_asked=True):
-            # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
-            if named.exists():
-                found.add(named)
-            elif is_glob:
-                for path, is_file in _matching(root, pattern):
-                    still_alive()
-                    if is_file or not _is_folder(path, root, silent):
-                        found.add(path)
-            else:
-                absent.append(pattern)
+        try:
+            with reading(pattern, is_asked=True):
+                # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
+                if named.exists():
+                    found.add(named)
+                elif is_glob:
+                    for path, is_file in _matching(root, pattern):
+                        still_alive()
+                        if is_file or not _is_folder(path, root, silent):
+                            found.add(path)
+                else:
+                    absent.append(pattern)
+        except PermissionError:
+            refused.add(named)
     names: dict[str, Path] = {}
-    for path in sorted(of_newest_version(found, root)):
+    for path in sorted(of_newest_version(found, root) | refused):
         name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
         while name in names:  # Another file's name is what this one's is shown as.
             name += "'"
@@ -70,6 +75,8 @@ def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
         return
     try:
         names, files = _names_as_of(folder, folder.stat().st_mtime_ns)
+    except PermissionError:
+        raise
     except OSError:
         return
     beginning = re.split(r"[*?\[]", last)[0]

@@ -86,7 +86,8 @@ class FolderLogs:
 
     def unmatched(self) -> tuple[str, ...]:
         """Messages about globs that match no log."""
-        return without_match(self._spec.log_root, self._spec.file.logs.files)
+        patterns = [name for name in self._spec.file.logs.files if name not in self.names]
+        return without_match(self._spec.log_root, patterns)
 
 
 class StoredLogs(FolderLogs):

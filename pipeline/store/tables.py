@@ -269,4 +269,6 @@ def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:
 
 def damaged(path: Path, table: Table, error: BaseException | str) -> StoreError:
     """The error of a damaged file."""
-    return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
+    strerror = error.strerror if isinstance(error, OSError) else None
+    how = f"cannot be read: {strerror}" if strerror else f"is damaged: {error}"
+    return StoreError("store_read", f"{path.name} of {table.name} {how}")
