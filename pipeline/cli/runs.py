@@ -93,7 +93,9 @@ def fit_fleet(
     3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
+        from pipeline.logs.finding import strays_told, unclaimed
         from pipeline.run.fleet import RunRequest
+        from pipeline.setup.first_look import FirstLook
 
         fleet = load(config, output, jobs)
         require_order(since, until)
@@ -105,33 +107,14 @@ def fit_fleet(
             redo=None if redo is None else nights(redo),
             retry=retry,
             repair=repair,
+            first_look=FirstLook,
         )
         if dry_run:
             print_plan(request, as_json=as_json)
-        else:
-            _repeat_check(fleet, as_json=as_json)
-            _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
-
-
-def _repeat_check(fleet: Fleet, *, as_json: bool) -> None:
-    """Say what `check` says of the logs: those without a motor, and before the first run, which
-    opens them all, what may be wrong with units and columns. What cannot be read the run says."""
-    from pipeline.logs.finding import strays_told, unclaimed
-
-    if as_json:
-        return
-    if strays := strays_told(unclaimed(fleet)):
-        say(strays, err=True)
-    if (fleet.output / "tables").is_dir() or fleet.log_url:
-        return
-    from pipeline.setup.check import check_motor
-    from pipeline.setup.operation import SWAPPED
-
-    for spec in fleet.motors:
-        seen = check_motor(spec, has_forecast=False)
-        for told in (*seen.faults, *seen.notes):
-            if told.startswith(("unit_", "column")) or told.endswith(SWAPPED):
-                say(f"{spec.motor_id}: {told}", err=True)
+            return
+        if not as_json and (strays := strays_told(unclaimed(fleet))):
+            say(strays, err=True)
+        _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
 
 def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:
@@ -301,6 +284,7 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
         "files": _by_fate(outcome.files),
         "growing": outcome.growing,
         "left_out": outcome.left_out,
+        "findings": outcome.findings,
         "stays": {str(label): stay for label, stay in outcome.stays.items()},
     }
     words = f"{motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}"
@@ -349,6 +333,9 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
         }
         tell(event, "", as_json=True)
         return
+    for outcome in result.outcomes:
+        for finding in outcome.findings:
+            say(f"{outcome.motor_id}: {finding}", err=True)
     say(
         f"{'interrupted; ' * result.interrupted}{counted(result.n_nights, 'night')} of "
         f"{counted(len(result.outcomes), 'motor')} in {result.seconds:.1f} s, "

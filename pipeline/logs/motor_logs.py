@@ -240,6 +240,18 @@ class MotorLogs:
             if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
 
+    def in_time(self) -> list[tuple[dt.date, str]]:
+        """Return the last night and the name of each log that can be read, in order of time."""
+        return sorted(
+            (max(labels), name)
+            for name, record in self.files.items()
+            if record.status == "ok" and (labels := labels_of(record))
+        )
+
+    def path(self, name: str) -> Path:
+        """Return a file with the content of a log; raises LogError as `FolderLogs.path`."""
+        return self._source.path(name)
+
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
         """Files of which every night is done: the others stay new, for a run that wants them."""
         nights, present = set(done), self.present()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import time
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import reduce
@@ -67,6 +67,7 @@ def fit_night(
     spec: MotorSpec,
     night: Night,
     channels: MutableMapping[str, RawChannel],
+    look: Callable[[Samples], object] = lambda _: None,
 ) -> NightOutcome:
     """Fit one motor's night; whatever happens short of a fault in the code is its outcome.
 
@@ -75,6 +76,7 @@ def fit_night(
     `channels`: Raw samples of the night by channel; of an on-change one also some from before it,
     of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is not to
     be in memory twice.
+    `look`: Called with the kept samples.
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}
@@ -82,6 +84,7 @@ def fit_night(
     try:
         with _timed(seconds, "clean_s"):
             samples, quality = clean_channels(spec.file, spec.settings, night, channels)
+            look(samples)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             data = data_columns(night, samples, channels.get(RUNNING_HOURS))
             require_enough(samples, quality, spec)

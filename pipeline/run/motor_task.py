@@ -82,6 +82,7 @@ class _Making(MotorNights):
         super().__init__(task)
         self.lost_nights = task.lost_nights
         self.stored = StoredNights(task.output, self.spec.motor_id)
+        self.findings: tuple[str, ...] = ()
 
     def run(self) -> MotorOutcome:
         plan = self.open_nights()
@@ -110,7 +111,7 @@ class _Making(MotorNights):
         with self.timed("store_s"):
             self._stage()
         n_refitted = sum(one.tables is not None for one in self.done.values())
-        return replace(self.outcome(), n_refitted=n_refitted)
+        return replace(self.outcome(), n_refitted=n_refitted, findings=self.findings)
 
     def _take_back(self, label: dt.date) -> None:
         """Leave a night to the next run, as if it had not been done in this one."""
@@ -215,7 +216,14 @@ class _Making(MotorNights):
         self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
-        return self._unless_changed(fit_night(self.form, here, channels))
+        newest = max(filter(self.task.wants, self.logs.present()), default=label)
+        if self.task.first_look is None or self.nights_before or label < newest:
+            return self._unless_changed(fit_night(self.form, here, channels))
+        look = self.task.first_look()
+        look.at_log(self.spec, label, self.logs.in_time(), self.logs.path, channels)
+        outcome = fit_night(self.form, here, channels, look.at_samples)
+        self.findings = tuple(look.findings)
+        return self._unless_changed(outcome)
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
         """A night's outcome; it fails where its columns or units are others than before."""

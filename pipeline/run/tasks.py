@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
@@ -19,10 +19,33 @@ from pipeline.store.published import TableFault
 from pipeline.trends.nights.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss
 
+if TYPE_CHECKING:
+    from pipeline.ingest import RawChannel
+    from pipeline.night.time_base import Samples
+
 Span = tuple[dt.date, dt.date]
 # A motor of which more nights than this take their worker with them, or more logs than this do not
 # answer, is given up as a whole.
 MOST_GIVEN_UP = 3
+
+
+class FirstLook(Protocol):
+    """A look at what the first run of a motor reads of its newest night."""
+
+    findings: list[str]  # in words
+
+    def at_log(
+        self,
+        spec: MotorSpec,
+        night: dt.date,
+        dated: Sequence[tuple[dt.date, str]],
+        path_of: Callable[[str], Path],
+        channels: Mapping[str, RawChannel],
+    ) -> None:
+        """Look at the logs that can be read, in order of time, and at the night's channels."""
+
+    def at_samples(self, samples: Samples) -> None:
+        """Look at the samples that cleaning kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +61,7 @@ class RunRequest:
     redo: Span | None = None
     retry: bool = False  # whether to try nights and logs again that failed
     repair: bool = False  # whether to prove every table file before
+    first_look: Callable[[], FirstLook] | None = None  # what looks at motors of the first run
     # The time of the run, by which logs lie in the future.
     clock: dt.datetime = field(default_factory=now)
 
@@ -64,6 +88,7 @@ class RunRequest:
             until=self.until,
             redo=self.redo,
             retry=self.retry,
+            first_look=self.first_look,
             latest_us=latest_us(self.clock),
             excluded=self._decided(spec, "excluded"),
             released=self._decided(spec, "released"),
@@ -112,6 +137,7 @@ class MotorTask:
     retry: bool = False  # whether to try nights and logs again that failed
     # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
+    first_look: Callable[[], FirstLook] | None = None  # as of the request
     # The motor's logs where they are known to be as they were; None: they are to be looked at.
     looked_at: Mapping[str, FileRecord] | None = None
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
@@ -164,6 +190,8 @@ class MotorOutcome:
     # What there is to say of each file that is changed while it is read.
     growing: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()  # what is said of files of which rows were left out
+    # Of a motor's first run: what may be wrong with its units and columns.
+    findings: tuple[str, ...] = ()
     # Nights and logs that failed, in this run or in one before, and are as they were.
     n_standing: int = 0
     n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log

@@ -84,12 +84,12 @@ class MotorCheck:
     notes: tuple[str, ...]  # no faults, and yet worth a look
 
 
-def check_motor(spec: MotorSpec, *, is_full: bool = False, has_forecast: bool = True) -> MotorCheck:
+def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
     Where the newest night would not be fitted, the first and the middle one are looked into, too;
-    with `is_full` all are. Without `has_forecast` no night is fitted: a run that follows does it.
+    with `is_full` all are.
 
     Raises StoreError if an object store cannot be read.
     """
@@ -120,9 +120,7 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False, has_forecast: bool = 
         f"log_misdated: {name}: {misdated_message(records[name], days)}"
         for name, days in dated_otherwise(records).items()
     ]
-    forecast: tuple[NightForecast, ...] = ()
-    if has_forecast:
-        forecast = tuple(_forecast(spec, records, sorted(nights), is_full=is_full))
+    forecast = tuple(_forecast(spec, records, sorted(nights), is_full=is_full))
     notes = [*worth, *written]
     if len(names) != len(logs.names):
         notes.append(
@@ -138,7 +136,7 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False, has_forecast: bool = 
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=faults or tuple(_no_night(forecast, n_nights=len(nights)) if has_forecast else ()),
+        faults=faults or tuple(_no_night(forecast, n_nights=len(nights))),
         placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
         forecast=forecast,

@@ -26,7 +26,6 @@ _FOLLOWS = 0.2
 _FEWEST = 200
 # Oil in a line warms and cools slower than this, but for a few spikes.
 _JUMP_C, _JUMP_S, _JUMPS_SHARE = 2.0, 10.0, 0.02
-SWAPPED = "are columns swapped?"
 
 
 def night_of_log(spec: MotorSpec, label: dt.date, log: RawLog) -> Samples | None:
@@ -75,12 +74,13 @@ def swapped(samples: Samples) -> Iterator[str]:
     )
     close = np.diff(samples.time_us) <= _JUMP_S * SECOND_US
     if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
-        yield f"oil_temperature jumps as no oil does: {SWAPPED}"
+        yield "oil_temperature jumps as no oil does: are columns swapped?"
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
     drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
     if drives and np.ptp(q) > 0 and all(_rank_correlation(drive, q) < _FOLLOWS for drive in drives):
-        yield f"the drain flow follows neither pressure nor the oil's viscosity: {SWAPPED}"
+        how = "follows neither pressure nor the oil's viscosity"
+        yield f"the drain flow {how}: are columns swapped?"
 
 
 def _rank_correlation(x: Array, y: Array) -> float:
