@@ -66,8 +66,8 @@ def config_reference() -> str:
     lines = [
         "# Config files",
         NOTE,
-        "Config is TOML. A fleet file names the folders of motors, motor types, oils and oil "
-        "circuits, one file each; others call a file by its name without the ending. Behind a key "
+        "Config is TOML. Beside a fleet file lie the folders `motors`, `motor_types`, `oils` and "
+        "`oil_circuits`; others call a file in them by its name without the ending. Behind a key "
         "is its default, which shows its type; the end of its name is its unit. Other keys are "
         "errors. A whole fleet lies in [docs/example/](example/fleet.toml).",
     ]

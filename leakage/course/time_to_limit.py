@@ -48,7 +48,6 @@ from leakage.course.slope import (
     variance_of_mean,
     whitened,
 )
-from leakage.estimation.compression import MAD_TO_SD
 
 TimeStatus: TypeAlias = Literal[
     "finite", "not_before", "no_trend", "already_crossed", "beyond_horizon", "insufficient"
@@ -68,6 +67,8 @@ MEANS = 12
 VARIANCE_BOUND = 2.4
 # Beyond this variance of the increments over that of noise, the wear comes in jumps.
 MOST_OF_NOISE = 2.0
+# Standard deviation over median absolute deviation, of a normal distribution.
+MAD_TO_SD = 1.482602218505602
 # Scatter below this share of the limit is rounding.
 ROUNDING = 1e-9
 # Positions ahead, in units of what was seen: even as far as a range may go, and wider beyond.

@@ -20,8 +20,7 @@ from leakage.physics.motor import Motor
 class SampleBlocks:
     """Blocks of samples in time order, with all that a fit needs of them."""
 
-    # Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
-    factors: Array
+    factors: Array  # triangular factor of each, shape (b, c, c)
     # number, block_s: place of each on the clock, in blocks, shape (b,), and their usual
     # length [s].
     number: NDArray[np.int64]
@@ -31,7 +30,7 @@ class SampleBlocks:
     excitation: Excitation  # range of the samples
 
     def with_free_known(self, place: int, coefficient: float) -> SampleBlocks:
-        """The blocks with the known flow as a path of its own; arguments as for a factor."""
+        """Return the blocks with the known flow as a path of its own; arguments as for a factor."""
         return replace(self, factors=with_free_known(self.factors, place, coefficient))
 
 
@@ -47,9 +46,9 @@ class BlockEstimate:
     whitened: Array  # the factors without that memory, shape (b, c, c)
     misfit: Misfit | None  # structured misfit; None where the blocks are too few
 
-    def identified(self, excitation: Excitation, inflation: float = 1.0) -> Identification:
-        """Verdicts and intervals by the samples alone; arguments as of :func:`identify`."""
-        return identify(self.fit, self.whitened, excitation, inflation, self.slow)
+    def identified(self, excitation: Excitation) -> Identification:
+        """Return verdicts and intervals by the samples alone, of this range."""
+        return identify(self.fit, self.whitened, excitation, self.slow)
 
 
 def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:

@@ -88,7 +88,6 @@ def identify(
     fit: Fit,
     factors: Array,
     excitation: Excitation,
-    inflation: float = 1.0,
     slow: SlowErrors = NOT_SLOW,
 ) -> Identification:
     """Judge every coefficient of a fit.
@@ -96,13 +95,12 @@ def identify(
     `fit, factors`: The fit, and the factors of its blocks in time order, shape (b, c, c); whitened
     where errors are slow.
     `excitation`: Range of their samples.
-    `inflation`: Factor on all standard errors, of robust weights.
     `slow`: Memory of the errors from block to block; the same that whitened the factors.
     """
     # A bound on which the minimum lies is no knowledge: every coefficient that is not fixed counts.
     free = ~fit.proven_minimum.fixed
     widening = WIDENING if slow.are_slow else 1.0
-    distribution = cluster_robust(factors, fit.coefficients, free, inflation * widening)
+    distribution = cluster_robust(factors, fit.coefficients, free, widening)
     paths = fit.motor.coefficient_paths
     judged = tuple(
         _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)

@@ -7,9 +7,9 @@ crosses a block's border, so blocks do not depend on the split.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,30 +25,15 @@ INTERLEAVED = (7, 3)
 SECOND_US = 1_000_000
 
 
-class Windows(Protocol):
-    """Settings of blocks and their split, as `[windows]` of a fleet's config."""
-
-    @property
-    def block_s(self) -> float: ...  # length of a short block [s]
-    @property
-    def maximum_blocks(self) -> int: ...  # neighbours are merged until no more are left
-    @property
-    def split(self) -> str: ...  # chronological or interleaved
-    @property
-    def training_share(self) -> float: ...  # share of the samples that trains
-    @property
-    def guard_blocks(self) -> int: ...  # left out at each border between training and validation
-
-
 @dataclass(frozen=True, slots=True)
-class DefaultWindows:
-    """The settings of a fleet that states none."""
+class Windows:
+    """Blocks of a night and their split, as a fleet has them that states nothing else."""
 
-    block_s: float = 120.0
-    maximum_blocks: int = 96
-    split: str = "chronological"
-    training_share: float = 0.8
-    guard_blocks: int = 1
+    block_s: float = 120.0  # length of a short block [s]
+    maximum_blocks: int = 96  # neighbours are merged until no more are left
+    split: str = "chronological"  # or interleaved
+    training_share: float = 0.8  # share of the samples that trains
+    guard_blocks: int = 1  # left out at each border between training and validation
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +82,7 @@ def split_into_blocks(
     numbers = np.arange(first, last + 1)
     starts = np.searchsorted(time_us, night_start_us + numbers * length)
     sizes = np.diff(starts, append=len(time_us))
-    numbers, starts, sizes = (one[sizes > 0] for one in (numbers, starts, sizes))
+    numbers, starts, sizes = (part[sizes > 0] for part in (numbers, starts, sizes))
     parts = _parts(numbers, sizes, settings)
     if chosen_periods:
         parts = _parts_as_chosen(time_us, starts, chosen_periods)
@@ -157,13 +142,12 @@ def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
 def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ...]:
     """Blocks for storage: neighbours of the same part merged until at most `maximum` are left."""
     runs = [list(run) for _, run in groupby(blocks, lambda block: block.part)]
-    group = 1
-    while sum(-(-len(run) // group) for run in runs) > maximum and group < len(blocks):
-        group += 1
-    merged = (run[at : at + group] for run in runs for at in range(0, len(run), group))
+    size = 1
+    while sum(-(-len(run) // size) for run in runs) > maximum and size < len(blocks):
+        size += 1
+    merged = (run[at : at + size] for run in runs for at in range(0, len(run), size))
     return tuple(
-        Block(one[0].first_row, one[-1].end_row, one[0].start_us, one[-1].end_us, one[0].part)
-        for one in merged
+        replace(group[0], end_row=group[-1].end_row, end_us=group[-1].end_us) for group in merged
     )
 
 

@@ -153,10 +153,13 @@ def cluster_robust(
     factors: Array,
     coefficients: Array,
     active: Mask,
-    inflation: float = 1.0,
+    widening: float = 1.0,
     whole: Array | None = None,
 ) -> ClusterRobust | None:
-    """Distribution of the active estimates; None without one, or with fewer than two blocks."""
+    """Return the distribution of the active estimates; None with fewer than two blocks.
+
+    `widening` is a factor on all standard errors.
+    """
     filled = factors[factors.any(axis=(1, 2))]
     if not active.any() or len(filled) < 2:
         return None
@@ -185,5 +188,5 @@ def cluster_robust(
         _to_basis=to_basis,
         _leverage=leverage,
         _inverse_root=inverse_root,
-        _scores=inflation * np.einsum("bij,bj->bi", inverse_root, scores),
+        _scores=widening * np.einsum("bij,bj->bi", inverse_root, scores),
     )

@@ -20,7 +20,6 @@ from leakage.estimation.sample_blocks import (
     TRAINING,
     VALIDATION,
     ChosenPeriods,
-    DefaultWindows,
     Windows,
     places_on_clock,
     split_into_blocks,
@@ -48,8 +47,6 @@ def fit_frame(
     tolerances: Tolerances | None = None,
     windows: Windows | None = None,
     smoothing_s: float = 0.0,
-    smoothing_of: Literal["all", "leakage"] = "all",
-    loss: Literal["squared", "huber"] = "squared",
 ) -> FrameFit:
     """Fit a motor to a frame of samples.
 
@@ -78,11 +75,8 @@ def fit_frame(
         Stated tolerances of sensors; they widen the total ± and may change verdicts.
     windows
         Length of a block, and the split; None: 120 s, and 80 % train.
-    smoothing_s, smoothing_of
-        Length of a moving average [s] over ``"all"`` columns, flow and regressors alike, or over
-        the flow alone (``"leakage"``, which biases the estimates); 0: none.
-    loss
-        ``"squared"``, or ``"huber"``: samples with large errors count less.
+    smoothing_s
+        Length of a moving average of flow and regressors alike [s]; 0: none.
 
     Raises
     ------
@@ -110,7 +104,7 @@ def fit_frame(
     ...            "oil_temperature_c": rng.uniform(40, 55, 7200),
     ...            "speed_rpm": np.full(7200, 900.0)}
     >>> from leakage import OperatingConditions, total_flow_l_per_min
-    >>> at = OperatingConditions.from_bar(*(samples[one] for one in list(samples)[1:]))
+    >>> at = OperatingConditions.from_bar(*(samples[name] for name in list(samples)[1:]))
     >>> samples["leakage_l_per_min"] = total_flow_l_per_min(motor, at) + rng.normal(0, 0.002, 7200)
     >>> found = fit_frame(samples, motor)
     >>> found.judgements["K_gap"].verdict, bool(found.validation.fit_percent > 90)
@@ -119,7 +113,7 @@ def fit_frame(
     motor = _with_flushing(motor, flushing)
     if not motor.column_paths:
         raise ShapeError("motor_paths", f"{motor.motor_type} has no path that is free to estimate")
-    samples, windows = read_samples(frame, columns), windows or DefaultWindows()
+    samples, windows = read_samples(frame, columns), windows or Windows()
     chosen = ChosenPeriods(samples.stretches(train), samples.stretches(validate))
     if chosen and not chosen.training:
         raise LeakageError("period", "validate= is given without train=: say both, or neither")
@@ -137,12 +131,8 @@ def fit_frame(
         index,
         period_us,
         short,
-        motor.coefficient_bounds(),
         maximum_blocks=windows.maximum_blocks * days,
         smoothing_s=smoothing_s,
-        smoothing_of=smoothing_of,
-        loss=loss,
-        weighted_parts=(TRAINING,) if chosen else None,
     )
     sizes = [block.n for block in made.blocks]
     used = np.array([not chosen or block.part == TRAINING for block in made.blocks])
@@ -162,10 +152,10 @@ def fit_frame(
             period_us / SECOND_US,
             samples.rounding_l_per_min,
         ),
-        training=agreement(made.judged_on(TRAINING), theta),
-        validation=agreement(made.judged_on(VALIDATION), theta),
+        training=agreement(made.factor_of(TRAINING), theta),
+        validation=agreement(made.factor_of(VALIDATION), theta),
         tolerances=tolerances,
-        identification=estimate.identified(blocks.excitation, made.inflation),
+        identification=estimate.identified(blocks.excitation),
         beside_samples=np.zeros(len(theta)),
     )
     return found.judged()
@@ -203,13 +193,13 @@ def _sample_blocks(samples: FrameSamples, made: CompressedSamples, used: Mask) -
     channels = (samples.oil_temperature_c, samples.pressure_bar, samples.speed_rpm)
     parts = [[channel[block.first_row : block.end_row] for channel in channels] for block in blocks]
     celsius, bar, rpm = (
-        (min(float(one.min()) for one in of), max(float(one.max()) for one in of))
+        (min(float(part.min()) for part in of), max(float(part.max()) for part in of))
         for of in zip(*parts, strict=True)
     )
     return SampleBlocks(
         made.factors[used],
         *places_on_clock(*borders_us),
         np.array([block.part == TRAINING for block in blocks]),
-        np.array([[float(one.mean()) for one in part] for part in parts]),
+        np.array([[float(part.mean()) for part in of] for of in parts]),
         Excitation(bar, celsius, rpm),
     )

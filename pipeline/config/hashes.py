@@ -93,8 +93,6 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         "settings": settings,
         "channels": spec.file.shaping(Stage.BLOCKS)["channels"],
     }
-    if settings["estimation"]["loss"] == "huber":
-        document["weights"] = "of all kept samples"
     if by_hand:
         document["periods"] = [by_hand.training, by_hand.validation]
     return hash_of(document)
@@ -119,13 +117,7 @@ class SettingsHashes:
         key = (spec.file.oil_on(night), _chosen(spec, night))
         if key not in self._statistics:
             motor = spec.stated.motor(night, spec.file.flushing.mode)
-            windows = spec.settings.windows.shaping(Stage.BLOCKS | Stage.NIGHT)
-            document = {
-                "model_hash": model_hash(spec, motor, night),
-                # Part of the hash until figures had one of their own: its default stays in it, so
-                # that no log is read anew.
-                "windows": windows | {"minimum_training_minutes": 15.0},
-            }
+            document = {"model_hash": model_hash(spec, motor, night)}
             self._statistics[key] = hash_of(spec.settings.shaping(Stage.NIGHT) | document)
         return self._statistics[key]
 

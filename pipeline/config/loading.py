@@ -108,7 +108,7 @@ def load_fleet(path: Path) -> Fleet:
 def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple[str, Path]]:
     """The folders of a fleet file by key, without those that cannot be."""
     for key in ("motors", "motor_types", "oils", "oil_circuits", "logs", "output"):
-        given = getattr(folders, key)
+        given = getattr(folders, key, key)
         place = Path("out") if given is None else path.parent / given
         if key == "logs" and is_url(given):
             place = path.parent

@@ -24,10 +24,15 @@ from pipeline.config.section import (
 
 if TYPE_CHECKING:
     from leakage import OperatingConditions
+    from leakage.estimation.sample_blocks import Windows as Blocks
 
 Rate = Annotated[float, Field(gt=0, le=1000)]
 InputName = Literal["pressure_difference", "oil_temperature", "speed"]
 RelativeFolder = Annotated[str, Field(min_length=1)]
+# Length of a block of statistics: no moving average reaches beyond one [s].
+BLOCK_S = 120.0
+# Of a longer delay the pairing of inputs and drain flow is a guess [s].
+MAXIMUM_DELAY_S = 60.0
 
 
 class Nights(Section):
@@ -52,9 +57,7 @@ class TimeBase(Section):
     shapes = Stage.BLOCKS
 
     rate_hz: Rate | None = None
-    """Samples a second; by default of the fastest channel."""
-    maximum_rate_hz: Rate = 10.0
-    """Upper limit of the rate where not stated."""
+    """Samples a second; by default of the fastest channel, at most 10."""
 
 
 class Cleaning(Section):
@@ -68,31 +71,8 @@ class Cleaning(Section):
     """Time refused before a halt or back-flow."""
     guard_after_s: Seconds = 30.0
     """Time refused after a halt or back-flow."""
-    hampel_window: int = Field(11, ge=3, le=1001)
-    """Samples in the Hampel filter's centred window; odd."""
-    hampel_threshold: Positive = 5.0
-    """Scaled MAD off the local median that are a spike."""
-    frozen_after_s: Positive = 60.0
-    """Time without a change after which a sensor is frozen."""
-    gap_sample_periods: Positive = 5.0
-    """Silence that is a gap, in sample periods."""
-    temperature_gap_s: Positive = 5.0
-    """No shorter silence of the oil temperature is a gap."""
-    maximum_mean_s: Positive = 10.0
-    """Longest averaging period of a channel."""
-    out_of_order: Literal["sort", "refuse"] = "sort"
-    """Samples behind the log's time: `sort` puts them back where there is room, `refuse` refuses
-    them."""
     refuse_transients: bool = False
-    """Refuse fast changes of speed or pressure."""
-    transient_speed_rpm_per_s: Positive = 5.0
-    """Faster changes of speed are transients."""
-    transient_pressure_bar_per_s: Positive = 50.0
-    """Faster changes of pressure are transients."""
-
-    def misfits(self) -> Iterator[Misfit]:
-        if self.hampel_window % 2 == 0:
-            yield self.at("hampel_window", "expected an odd number of samples")
+    """Refuse changes of speed above 5 rpm/s, or of pressure above 50 bar/s."""
 
 
 class TransportDelay(Section):
@@ -100,18 +80,12 @@ class TransportDelay(Section):
 
     shapes = Stage.BLOCKS
 
-    mode: Literal["off", "fixed", "flow"] = "off"
-    """`fixed`: always the same; `flow`: the line's volume over the drain flow."""
-    fixed_s: Seconds = 0.0
-    """`fixed`: the delay."""
+    fixed_s: Annotated[Positive, Field(le=MAXIMUM_DELAY_S)] | None = None
+    """The delay, where it is always the same."""
     line_length_m: Positive | None = None
-    """`flow`: length of the drain line."""
+    """Length of the drain line, whose volume over the drain flow is the delay."""
     line_inner_diameter_mm: Positive | None = None
-    """`flow`: inner diameter of the drain line."""
-    flow_average_s: Seconds = 10.0
-    """`flow`: averaging time of the drain flow."""
-    maximum_s: Positive = 60.0
-    """A sample with a longer delay is refused."""
+    """Inner diameter of the drain line."""
     leading: tuple[InputName, ...] = ()
     """Inputs paired at t − τ with the drain flow."""
     lagging: tuple[InputName, ...] = ()
@@ -121,12 +95,17 @@ class TransportDelay(Section):
         named = (*self.leading, *self.lagging)
         if len(set(named)) < len(named):
             yield (), "expected each input once among leading and lagging", None
-        if self.mode != "off" and not named:
-            yield (), "expected an input in leading or in lagging", None
-        if self.mode == "flow" and None in (self.line_length_m, self.line_inner_diameter_mm):
-            yield (), "expected line_length_m and line_inner_diameter_mm beside mode", None
-        if self.mode == "fixed" and self.fixed_s > self.maximum_s:
-            yield self.at("fixed_s", "expected no more than maximum_s")
+        if self.is_on != bool(named):
+            yield (), "expected a delay and an input in leading or lagging together", None
+        if (self.line_length_m is None) != (self.line_inner_diameter_mm is None):
+            yield (), "expected line_length_m and line_inner_diameter_mm together", None
+        if self.fixed_s is not None and self.line_length_m is not None:
+            yield self.at("fixed_s", "expected fixed_s or the drain line, not both")
+
+    @property
+    def is_on(self) -> bool:
+        """True if inputs are paired with the drain flow of another time."""
+        return self.fixed_s is not None or self.line_length_m is not None
 
 
 class Smoothing(Section):
@@ -134,43 +113,27 @@ class Smoothing(Section):
 
     shapes = Stage.BLOCKS
 
-    window_s: Seconds = 0.0
+    window_s: NonNegative = Field(0.0, lt=BLOCK_S)
     """Length of the centred average; 0: none."""
-    apply_to: Literal["all", "leakage"] = "all"
-    """Drain flow and regressors (`all`), or drain flow alone (`leakage`, the thesis)."""
 
 
 class Windows(Section):
-    """Blocks of a night, and how they are split into training and validation."""
+    """How the blocks of a night are split into training and validation."""
 
     shapes = Stage.BLOCKS
 
-    block_s: float = Field(120.0, ge=1, le=86_400)
-    """Length of a block of statistics."""
-    maximum_blocks: int = Field(96, ge=4)
-    """Blocks stored a night at most; neighbours are merged."""
     split: Literal["chronological", "interleaved"] = "chronological"
     """`chronological`: the first blocks train; `interleaved`: seven train, then three validate."""
     training_share: Share = Field(0.8, lt=1)
     """Share of the kept samples that trains."""
-    guard_blocks: int = Field(1, ge=0)
-    """Blocks left out between training and validation."""
-    minimum_block_share: NonNegative = Field(0.0, le=1)
-    """Share of its samples that a block needs."""
-    longest_gap_s: Positive | None = None
-    """Longer gaps cut the night into stretches."""
-    minimum_stretch_minutes: NonNegative = 0.0
-    """A shorter stretch is left out."""
-    minimum_pressure_spread_bar: Annotated[NonNegative, Stage.NIGHT] = 0.0
-    """Spread of |pressure| that a fit needs, 5th to 95th percentile."""
-    minimum_speed_spread_rpm: Annotated[NonNegative, Stage.NIGHT] = 0.0
-    """The same of |speed|."""
-    minimum_temperature_spread_c: Annotated[NonNegative, Stage.NIGHT] = 0.0
-    """The same of the oil temperature."""
     minimum_kept_share: Annotated[Share, Stage.NIGHT] = 0.6
     """Share of running samples that a fit needs."""
-    minimum_training_minutes: Annotated[Positive, Stage.FIGURES] = 5.0
-    """Training time that a fit needs."""
+
+    def blocks(self) -> Blocks:
+        """The same as the estimation takes them."""
+        from leakage.estimation.sample_blocks import Windows as Blocks
+
+        return Blocks(BLOCK_S, split=self.split, training_share=self.training_share)
 
 
 class SensorHealth(Section):
@@ -178,12 +141,6 @@ class SensorHealth(Section):
 
     shapes = Stage.NIGHT
 
-    settle_s: Seconds = 45.0
-    """Time left out after the motor has stopped."""
-    minimum_s: Positive = 20.0
-    """Credible samples that a halt needs after that."""
-    depressurised_below_bar: Positive = 5.0
-    """|pressure difference| of a halt that shows its zero; |low side over case| for the flow's."""
     without_pressure_at_halts: bool = False
     """The circuit is without pressure at halts; else the low side has to be logged for the flow."""
 
@@ -207,23 +164,6 @@ class Model(Section):
     """Case pressure without a channel of it."""
     charge_pressure_tolerance_bar: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Tolerance of charge − case pressure."""
-    roller_scale: Annotated[Literal["by_information", "fixed"], Stage.FIGURES] = "by_information"
-    """Scale of the cam rollers' curve: estimated where nights tell it, or `fixed`."""
-
-
-class Estimation(Section):
-    """Bounded least squares; the search of the thesis from several starts, by `fit` alone."""
-
-    shapes = Stage.NOTHING
-
-    starting_points: int = Field(10, ge=0, le=1000)
-    """Starting points of the audit by `fit`."""
-    loss: Annotated[Literal["squared", "huber"], Stage.BLOCKS] = "squared"
-    """`huber`: samples with large errors count less."""
-    sensitivity_samples: Annotated[int, Stage.FIGURES] = Field(1500, ge=100)
-    """Samples that carry the stated tolerances."""
-    seed: int = Field(1, ge=0)
-    """Seed of the starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +212,6 @@ class Trend(Section):
 
     baseline_nights: int = Field(8, ge=8)
     """Nights of a baseline, after which the watch begins."""
-    confidence: Share = Field(0.95, lt=1)
-    """Coverage of the slope's interval."""
     horizon_years: Positive = 5.0
     """Time beyond which a limit is `beyond_horizon`."""
 
@@ -285,12 +223,6 @@ class Folders(Section):
 
     motors: RelativeFolder = "motors"
     """Folder of the motors' files."""
-    motor_types: RelativeFolder = "motor_types"
-    """Folder of the motor types."""
-    oils: RelativeFolder = "oils"
-    """Folder of the oils."""
-    oil_circuits: RelativeFolder = "oil_circuits"
-    """Folder of the oil circuits."""
     logs: RelativeFolder = "../logs"
     """Root of the logs, a folder or a URL such as s3://bucket/logs."""
     output: RelativeFolder | None = None
@@ -310,10 +242,6 @@ class Execution(Section):
     """Processes of this machine (`loky`), the run's own (`sequential`), or a cluster (`dask`)."""
     scheduler: str = Field("", pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$")
     """`dask`: address of the scheduler, such as tcp://10.0.0.5:8786."""
-    tasks_in_flight: int = Field(256, ge=1)
-    """`dask`: most tasks at the scheduler."""
-    scheduler_wait_s: Positive = 30.0
-    """`dask`: time to wait for scheduler and first worker."""
     timeout_s: Positive = Field(600.0, le=604_800.0)
     """Longest time for a night of a motor."""
     answer_s: Positive = Field(60.0, le=604_800.0)
@@ -349,16 +277,10 @@ class Settings(Section):
     smoothing: Smoothing = left_out()
     windows: Windows = left_out()
     model: Model = left_out()
-    estimation: Estimation = left_out()
     reference: ReferenceConditions = left_out()
     sensor_health: SensorHealth = left_out()
     trend: Trend = left_out()
     alarms: Alarms = left_out()
-
-    def misfits(self) -> Iterator[Misfit]:
-        if self.smoothing.window_s >= self.windows.block_s:
-            message = f"expected less than windows.block_s = {self.windows.block_s:g}"
-            yield ("smoothing", "window_s"), message, self.smoothing.window_s
 
 
 class FleetFile(Settings):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, Night, night_of, nights_between
 from pipeline.config.nights import night as night_labelled
+from pipeline.config.settings import BLOCK_S
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs.files import look_at, reaches_us, slice_night, spanned
@@ -128,21 +129,17 @@ def blocks_so_far(
 
     Raises Insufficient or LeakageError where they say nothing.
     """
-    # Blocks are not merged, and no stretch is too short: what follows is not there yet.
-    windows = spec.settings.windows.model_copy(
-        update={"maximum_blocks": 10**6, "longest_gap_s": None}
-    )
-    spec = replace(spec, settings=spec.settings.model_copy(update={"windows": windows}))
     samples, quality = clean_channels(spec.file, spec.settings, night, channels)
     require_enough(samples, quality, spec)
     samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
-    samples, outside = choose_parts(spec.file, spec.settings, night, samples)
+    samples, outside = choose_parts(spec.file, night, samples)
     require_parts(samples, outside)
     motor = spec.stated.motor(night.date, spec.file.flushing.mode)
     ratio = sensor_ratio(motor.oil, samples)
     if isinstance(ratio, str):
         raise Insufficient("", ratio)
-    statistics = night_statistics(spec.stated, motor, night, samples)
+    # Blocks are not merged: what follows is not there yet.
+    statistics = night_statistics(spec.stated, motor, night, samples, is_merged=False)
     rows = block_rows(spec, night.date, motor, statistics, ratio)
     begins = np.array([block.start_us for block in statistics.blocks])
     warm = _warm(begins, night.start_us)
@@ -239,7 +236,7 @@ def nights_before(
         watch = watch.after(night, earlier)
     apart = [float(np.median(np.diff(one.middle_s))) for one in nights if len(one.flow) > 1]
     length_s = float(np.median(apart)) if apart else 0.0
-    merged = max(1, round(length_s / spec.settings.windows.block_s))
+    merged = max(1, round(length_s / BLOCK_S))
     rows = [{COLUMNS[name]: value for name, value in _readings(one).items()} for one in nights]
     return NightsBefore(watch, layout, merged, usual_readings(rows[-USUAL_NIGHTS:]))
 

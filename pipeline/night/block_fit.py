@@ -152,14 +152,14 @@ def fit_stored_blocks(
     fewer training samples than free coefficients.
     """
     motor = spec.stated.motor(night, mode)
-    samples, inflation = blocks.sample_blocks(), blocks.weight_inflation
+    samples = blocks.sample_blocks()
     stated = fit_blocks(samples, motor)
     made = stated
     if spec.roller_is_free and motor.standard is not None:
         free, samples = motor.with_free_standard(), samples.with_free_known(*scale_of(motor))
         made = fit_blocks(samples, free)
     fitted, excitation = made.fit, samples.excitation
-    identification = made.identified(excitation, inflation)
+    identification = made.identified(excitation)
     where = dict(zip((REFERENCE, OWN), at, strict=True))
     misfits = made.misfit, stated.misfit
     errors = _errors(made, identification, excitation, misfits, where, budget)
@@ -183,7 +183,7 @@ def fit_stored_blocks(
         reference=reference,
         systematic=of_stated(budget),
         errors=errors,
-        roller=_roller(motor, made, identification, excitation, inflation),
+        roller=_roller(motor, made, identification, excitation),
     )
 
 
@@ -194,8 +194,8 @@ def scale_of(motor: Motor) -> tuple[int, float]:
     return place, motor.standard.configured_coefficient
 
 
-def in_form(spec: MotorSpec, motor: Motor, factor: Array) -> Array:
-    """Factor of some samples of a motor as stated, in the columns in which it is fitted."""
+def with_free_rollers(spec: MotorSpec, motor: Motor, factor: Array) -> Array:
+    """Return a factor in the columns in which the motor is fitted, of one in those as stated."""
     if not spec.roller_is_free or motor.standard is None:
         return factor
     moved: Array = with_free_known(factor[None], *scale_of(motor))[0]
@@ -207,7 +207,6 @@ def _roller(
     made: BlockEstimate,
     identification: Identification,
     excitation: Excitation,
-    inflation: float,
 ) -> RollerScale | None:
     """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
     if motor.standard is None:
@@ -220,7 +219,7 @@ def _roller(
             fitted = fit(merge(factors), motor.with_free_standard())
         except EstimationError:
             return None
-        identification = identify(fitted, factors, excitation, inflation, made.slow)
+        identification = identify(fitted, factors, excitation, made.slow)
     judged = identification.coefficients[place]
     return RollerScale(float(fitted.coefficients[place]), judged)
 

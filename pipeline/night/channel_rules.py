@@ -26,6 +26,12 @@ ROLL_OVER_SHARE = 0.5
 STEP_SHARE = 0.05
 FEWEST_STEPS = 3
 PAIRS_LOOKED_AT = 50_000
+# Time without a change after which a sensor is frozen; oil holds its temperature for longer.
+FROZEN_AFTER_S, TEMPERATURE_FROZEN_AFTER_S = 60.0, 900.0
+# Oil temperature is logged once a second or less: its silence is a gap after this time.
+TEMPERATURE_GAP_S = 5.0
+# Longest period of a mean that a fit can use: over longer ones conditions change too much.
+MAXIMUM_MEAN_S = 10.0
 # Where the stamp of a mean stands in its period: what leads from there to the middle.
 TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
@@ -88,7 +94,7 @@ class CountedFlow:
 def flow_from_counts(
     time_us: Times, count: Values, longest_gap_us: float, sampling: Sampling
 ) -> CountedFlow:
-    """The flow that a counter of volume tells between each sample and the one before."""
+    """Return the flow of a counter of volume between each sample and the sample before."""
     steps = np.diff(time_us, prepend=time_us[:1])
     fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)
     unknown = steps > longest_gap_us
@@ -128,25 +134,19 @@ def step_of_readings(value: Values) -> float:
     return float(steps[commonest]) if is_a_step else 0.0
 
 
-def means_too_long(channels: Mapping[ChannelName, Channel], cleaning: Cleaning) -> str | None:
-    """Channels that are means of too long periods for a fit, in words; None: there is none.
+def means_too_long(channels: Mapping[ChannelName, Channel]) -> str | None:
+    """Return which channels are means of too long periods for a fit, in words; None: there is none.
 
     A mean of the inputs is no input of the mean: the leakage is not linear in them.
     """
     found = [
         f"{name} is logged as means of {channel.mean_of_s:g} s"
         for name, channel in channels.items()
-        if channel.mean_of_s is not None and channel.mean_of_s > cleaning.maximum_mean_s
+        if channel.mean_of_s is not None and channel.mean_of_s > MAXIMUM_MEAN_S
     ]
     if not found:
         return None
-    return (
-        f"{'; '.join(found)}; at most {cleaning.maximum_mean_s:g} s are allowed "
-        "(cleaning.maximum_mean_s): log it more often"
-    )
-
-
-TEMPERATURE_FROZEN_AFTER_S = 900.0
+    return f"{'; '.join(found)}; at most {MAXIMUM_MEAN_S:g} s are allowed: log it more often"
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,19 +156,12 @@ class ChannelRules:
     valid_range: tuple[float, float]  # lowest and highest plausible value [bar, °C, rpm or l/min]
     sensor_maximum: float | None  # highest value the sensor gives, or None
     resolution: float  # smallest step of the sensor
-    # hampel_window, hampel_threshold: samples in the window; limit in scaled MAD.
-    hampel_window: int
-    hampel_threshold: float
     frozen_after_s: float  # longest credible time without a change [s]
-    # gap_sample_periods, longest_gap_s: silence that is a gap: in sample periods, unless stated in
-    # seconds.
-    gap_sample_periods: float
-    longest_gap_s: float | None
+    longest_gap_s: float | None  # longer silence is a gap; None: by the sample period
     shortest_gap_s: float = 0.0  # a gap is no shorter, however fast the samples are
     # Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
     at_rest_below: float = 0.0
     sampling: Sampling = PERIODIC  # what the samples are
-    puts_in_order: bool = True  # samples written late are put back in their place, not refused
     # A row of the log is of this channel alone, so that one without a value says that there is
     # none; else it may only be a row of another channel.
     has_rows_of_its_own: bool = False
@@ -177,9 +170,9 @@ class ChannelRules:
     def of(
         cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
     ) -> ChannelRules:
-        """The rules of a channel: its own keys where stated, else the fleet's."""
+        """Return the rules of a channel: its own keys where stated, else the fleet's."""
         is_temperature = name == "oil_temperature"
-        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
+        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
         silence_s = channel.longest_silence_s or 0.0
         fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
@@ -187,15 +180,11 @@ class ChannelRules:
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
             resolution=channel.resolution,
-            hampel_window=cleaning.hampel_window,
-            hampel_threshold=cleaning.hampel_threshold,
             frozen_after_s=channel.frozen_after_s or fallback,
-            gap_sample_periods=cleaning.gap_sample_periods,
             longest_gap_s=silence_s or None,
-            shortest_gap_s=cleaning.temperature_gap_s if is_temperature else 0.0,
+            shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
             at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
             sampling=Sampling.of(channel),
-            puts_in_order=cleaning.out_of_order == "sort",
             has_rows_of_its_own=logs is not None and logs.layout != "wide",
         )
         # A value that is stated is refused by none.

@@ -31,6 +31,11 @@ from pipeline.night.masks import (
 )
 from pipeline.night.time_order import SharedStamps, Steps, carried_over, corrected, samples_of
 
+# Hampel's filter: samples in its centred window, and scaled MAD off their median that are a spike.
+HAMPEL_WINDOW, HAMPEL_THRESHOLD = 11, 5.0
+# Silence of more sample periods is a gap.
+GAP_SAMPLE_PERIODS = 5.0
+
 Places = NDArray[np.intp]
 
 
@@ -79,7 +84,7 @@ def clean_channel(
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
         before = raw.time_us < night_start_us
         early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    order = stamps.order(here.time_us, puts_in_order=rules.puts_in_order)
+    order = stamps.order(here.time_us)
     n_put_back, n_backward, n_duplicate = (
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
@@ -212,8 +217,7 @@ def _spikes(course: Course) -> Mask:
     # A compressed archive holds only what differs from its neighbourhood.
     if rules.sampling.on_change:
         return np.zeros(len(course.value), dtype=np.bool_)
-    window, threshold = rules.hampel_window, rules.hampel_threshold
-    return spike(course.value, window, threshold, course.resolution, course.borders)
+    return spike(course.value, HAMPEL_WINDOW, HAMPEL_THRESHOLD, course.resolution, course.borders)
 
 
 def _stuck(course: Course) -> Mask:
@@ -239,4 +243,4 @@ CHANNEL_RULES: dict[str, Callable[[Course], Mask]] = {"spike": _spikes, "frozen"
 def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:
     if rules.longest_gap_s is not None:
         return rules.longest_gap_s * SECOND_US
-    return max(rules.gap_sample_periods * (period_us or 0.0), rules.shortest_gap_s * SECOND_US)
+    return max(GAP_SAMPLE_PERIODS * (period_us or 0.0), rules.shortest_gap_s * SECOND_US)

@@ -34,6 +34,8 @@ PRESSURE_CLASS, PRESSURE_RANGE_BAR = 0.01, 400.0
 PT100_CLASS_B_K = 0.55
 # Gear meters within their range: 1 % of the reading.
 GEAR_METER = 0.01
+# Samples that carry the tolerances: the effects are smooth, and more would not move them.
+SENSITIVITY_SAMPLES = 1500
 ASSUMED = {
     "pressure_difference": "class 1",
     "oil_temperature": "Pt100 class B",
@@ -83,8 +85,7 @@ def _budget(
 ) -> ErrorBudget:
     """All tolerances carried through evenly thinned samples; empty beyond validity."""
     n = len(statistics.samples.index)
-    wanted = min(spec.settings.estimation.sensitivity_samples, n)
-    chosen = np.linspace(0, n - 1, wanted).round().astype(np.int64)
+    chosen = np.linspace(0, n - 1, min(SENSITIVITY_SAMPLES, n)).round().astype(np.int64)
     thinned = statistics.conditions.part(chosen)
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:

@@ -12,13 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import reduce
-
-import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
-from leakage.estimation.sample_blocks import TRAINING
-from pipeline.arrays import chosen_rows
+from leakage.estimation.sample_blocks import TRAINING, within
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
@@ -27,13 +23,16 @@ from pipeline.night.cleaning import clean_channel
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.rows import Row, Rows, fit_rows, night_row, of_fit, unfitted_row
 from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
-from pipeline.night.statistics import NightStatistics, left_out, night_statistics, too_uniform
+from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import SharedStamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
+
+# Fewer blocks than these minutes fill tell nothing of the errors beyond one of them.
+MINIMUM_TRAINING_MINUTES = 5.0
 
 # Tables below a night that have rows without a fit, too.
 WITHOUT_A_FIT = ("quality", "blocks")
@@ -88,7 +87,7 @@ def fit_night(
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             data = data_columns(night, samples, channels.get(RUNNING_HOURS))
             require_enough(samples, quality, spec)
-            samples, outside = choose_parts(spec.file, spec.settings, night, samples)
+            samples, outside = choose_parts(spec.file, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
@@ -97,7 +96,7 @@ def fit_night(
             ratio = _sensor_ratio(motor, samples)
             rows["blocks"] = block_rows(spec, night.date, motor, statistics, ratio)
         with _timed(seconds, "fit_s"):
-            _require_training(statistics, spec)
+            _require_training(statistics)
             blocks = StoredBlocks.of_newest_night(spec, rows["blocks"], statistics.factors)
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, budget = fit_modes(spec, night.date, statistics, blocks)
@@ -154,7 +153,7 @@ def clean_channels(
     Raises Insufficient if a channel has no samples, or all of them fewer than two.
     """
     cleaning = settings.cleaning
-    too_long = means_too_long(file.channels, cleaning)
+    too_long = means_too_long(file.channels)
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
     rules: dict[str, ChannelRules] = {
@@ -215,18 +214,14 @@ def _shares(found: Mapping[str, Quality]) -> str:
 
 
 def choose_parts(
-    file: MotorFile, settings: Settings, night: Night, samples: Samples
+    file: MotorFile, night: Night, samples: Samples
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """The samples in the parts of the night that are good enough, or set by hand."""
-    masks = left_out(
-        samples.time_us,
-        samples.period_us,
-        night.start_us,
-        settings.windows,
-        file.periods.within(night),
-    )
-    counted = tuple(Quality.of("time_base", reason, mask) for reason, mask in masks.items())
-    outside = reduce(np.logical_or, masks.values())
+    """Return the samples in the parts of the night that are set by hand, or all where none is."""
+    chosen = file.periods.within(night)
+    if not chosen:
+        return samples, ()
+    outside = ~within(samples.time_us, chosen.training + chosen.validation)
+    counted = (Quality.of("time_base", "outside_periods", outside),)
     return (samples.only(~outside) if outside.any() else samples), counted
 
 
@@ -250,23 +245,12 @@ def _sensor_ratio(motor: Motor, samples: Samples) -> SensorRatio | None:
     return ratio
 
 
-def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
+def _require_training(statistics: NightStatistics) -> None:
     n = sum(block.n for block in statistics.blocks if block.part == TRAINING)
     minutes = n * statistics.samples.period_us / 60e6
-    needed = spec.settings.windows.minimum_training_minutes
-    if minutes < needed:
+    if minutes < MINIMUM_TRAINING_MINUTES:
         raise Insufficient(
             INSUFFICIENT_DATA,
-            f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
+            f"{minutes:.1f} minutes of kept samples for training, "
+            f"{MINIMUM_TRAINING_MINUTES:g} are needed",
         )
-    training, samples = chosen_rows(statistics.rows_of(TRAINING)), statistics.samples
-    uniform = too_uniform(
-        {
-            "pressure": np.abs(samples.pressure_difference_bar[training]),
-            "speed": statistics.conditions.speed_rpm[training],
-            "temperature": samples.oil_temperature_c[training],
-        },
-        spec.settings.windows,
-    )
-    if uniform is not None:
-        raise Insufficient(INSUFFICIENT_DATA, f"training: {uniform}")

@@ -19,6 +19,10 @@ from pipeline.night.masks import stretches
 
 # Channels of the low side, and of the case.
 LOW_SIDE, CASE = ("low_port_pressure", "charge_pressure"), "case_pressure"
+# Time left out after the motor has stopped, and credible samples that a halt needs after that.
+SETTLE_US, MINIMUM_US = 45 * SECOND_US, 20 * SECOND_US
+# |Pressure difference| of a halt that shows its zero; |low side over case| for the flow's.
+DEPRESSURISED_BELOW_BAR = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,35 +60,30 @@ def settled_halts(
     sides = {"pressure_difference": 1.0}
     if "high_port_pressure" in channels:
         sides = {"high_port_pressure": 1.0, "low_port_pressure": -1.0}
-    settle, needed = (
-        round(seconds * SECOND_US) for seconds in (settings.settle_s, settings.minimum_s)
-    )
     pressures: list[float] = []
     flows: list[float] = []
     begins, ends = stretches(standstill)
     for first, last in zip(grid_us[begins].tolist(), grid_us[ends - 1].tolist(), strict=True):
-        begin, end = first + settle, last
-        if end - begin < needed:
+        begin, end = first + SETTLE_US, last
+        if end - begin < MINIMUM_US:
             continue
-        flow = _readings(channels["leakage_flow"], begin, end, needed)
-        ports = [
-            (sign, _readings(channels[name], begin, end, needed)) for name, sign in sides.items()
-        ]
+        flow = _readings(channels["leakage_flow"], begin, end)
+        ports = [(sign, _readings(channels[name], begin, end)) for name, sign in sides.items()]
         if not len(flow) or not all(len(port) for _, port in ports):
             continue
-        if any(np.ptp(port) > settings.depressurised_below_bar for _, port in ports):
+        if any(np.ptp(port) > DEPRESSURISED_BELOW_BAR for _, port in ports):
             continue
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
-        if abs(bar) <= settings.depressurised_below_bar:
+        if abs(bar) <= DEPRESSURISED_BELOW_BAR:
             pressures.append(bar)
-            if _is_relieved(channels, (begin, end, needed), settings, case_bar):
+            if _is_relieved(channels, (begin, end), settings, case_bar):
                 flows.append(float(np.median(flow)))
     return Halts(len(pressures), _zero(pressures), _zero(flows))
 
 
 def _is_relieved(
     channels: Mapping[str, CleanChannel],
-    halt: tuple[int, int, int],
+    halt: tuple[int, int],
     settings: SensorHealth,
     case_bar: float,
 ) -> bool:
@@ -97,10 +96,10 @@ def _is_relieved(
         case = _readings(channels[CASE], *halt)
     if not len(port) or not len(case):
         return False
-    return bool(abs(np.median(port) - np.median(case)) <= settings.depressurised_below_bar)
+    return bool(abs(np.median(port) - np.median(case)) <= DEPRESSURISED_BELOW_BAR)
 
 
-def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:
+def _readings(channel: CleanChannel, begin_us: int, end_us: int) -> Values:
     """Readings of a sensor in a stretch of time, below its maximum; none where it is too short.
 
     The share of credible samples is taken for the share of the time, however they are sampled.
@@ -108,7 +107,7 @@ def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int)
     first, last = np.searchsorted(channel.time_us, [begin_us, end_us])
     value, saturated = channel.value[first:last], channel.at_maximum[first:last]
     readings: Values = value[np.isfinite(value) & ~saturated]
-    enough = len(readings) * (end_us - begin_us) >= needed_us * len(value)
+    enough = len(readings) * (end_us - begin_us) >= MINIMUM_US * len(value)
     return readings if enough else readings[:0]
 
 

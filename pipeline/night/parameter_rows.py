@@ -30,7 +30,7 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     rows: list[Row] = []
     for path in fit.motor.paths:
         row = _coefficient_row(mode, path, places.get(path.name))
-        if path is fit.motor.standard and spec.settings.model.roller_scale == "by_information":
+        if path is fit.motor.standard:
             row["reason"] = _why_fixed(mode)
         rows += [row, *_derived_rows(spec, path, row)]
     return rows + _share_rows(mode)

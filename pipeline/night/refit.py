@@ -15,14 +15,12 @@ import polars as pl
 
 from leakage import EstimationError, OperatingConditions
 from leakage.estimation.sensitivities import effects_elsewhere
-from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import (
     REFERENCE,
     BlockFit,
     conditions,
     fit_stored_blocks,
-    in_form,
 )
 from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import NightOutcome
@@ -67,9 +65,7 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
         return None
     motor = spec.stated.motor(night.label, primary)
     blocks = StoredBlocks.of(spec, night.blocks, motor.columns)
-    # Weighted blocks are not to be had by another viscosity.
-    is_weighted = spec.settings.estimation.loss != "squared"
-    if blocks is None or (is_weighted and blocks.viscosity_ratios is not None):
+    if blocks is None:
         return None
     at, reference = conditions(spec, blocks), reference_columns(spec)
     is_elsewhere = any(row | reference != row for row in fits.values())
@@ -114,16 +110,13 @@ def refit_in_form(
 
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
-    row = before | block_fit_columns(found) | leakage_columns(found) | reference_columns(spec)
-    # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
-    if spec.settings.estimation.loss == "squared":
-        motor = found.stated.fit.motor
-
-        def judged_on(part: str) -> Array:
-            return in_form(spec, motor, blocks.factor_of(part))
-
-        row |= agreement_columns(spec, judged_on, found.training)
-    return row
+    return {
+        **before,
+        **block_fit_columns(found),
+        **leakage_columns(found),
+        **reference_columns(spec),
+        **agreement_columns(spec, found, blocks.factor_of),
+    }
 
 
 def _budget(

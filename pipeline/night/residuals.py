@@ -59,7 +59,14 @@ def night_residuals(
     if statistics.z is not statistics.unsmoothed:
         unsmoothed = statistics.unsmoothed @ -np.concatenate([coefficients, (1.0, -1.0)])
         columns = [(False, unsmoothed, inputs)]
-        columns.append((True, fitted_error, _smoothed(inputs, statistics, smoothing)))
+        averaged = smooth(
+            np.column_stack(inputs),
+            samples.index,
+            numbers_of(statistics.short),
+            samples.period_us,
+            smoothing.window_s,
+        )
+        columns.append((True, fitted_error, list(averaged.T)))
     found = []
     for smoothed, error, seen in columns:
         for part, rows in parts.items():
@@ -69,23 +76,6 @@ def night_residuals(
             )
             found.append(PartResiduals(part, smoothed, analysis))
     return memory, tuple(found)
-
-
-def _smoothed(
-    inputs: list[Array], statistics: NightStatistics, smoothing: Smoothing
-) -> list[Array]:
-    """Inputs averaged with the rest, or as they are where only the flow was."""
-    if smoothing.apply_to == "leakage":
-        return inputs
-    samples = statistics.samples
-    averaged = smooth(
-        np.column_stack(inputs),
-        samples.index,
-        numbers_of(statistics.short),
-        samples.period_us,
-        smoothing.window_s,
-    )
-    return list(averaged.T)
 
 
 def residual_test_rows(residuals: Sequence[PartResiduals], period_s: float) -> Iterator[Row]:

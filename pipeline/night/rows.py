@@ -12,14 +12,13 @@ import numpy as np
 
 from leakage import Motor
 from leakage.estimation.identifiability import ONE_BLOCK, LeakageJudgement
-from leakage.estimation.proven_minimum import ProvenMinimum
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.uncertainty import Interval
 from leakage.estimation.validation import agreement, criteria
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import REFERENCE, BlockFit, in_form
+from pipeline.night.block_fit import REFERENCE, BlockFit, with_free_rollers
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residuals import residual_columns, residual_test_rows
 from pipeline.night.statistics import NightStatistics
@@ -76,11 +75,6 @@ def fit_rows(
         "n_validation": sum(block.n for block in statistics.blocks if block.part == VALIDATION),
         **reference_columns(spec),
     }
-    stated = spec.stated.motor(night, spec.file.flushing.mode)
-
-    def judged_on(part: str | None = None) -> Array:
-        return in_form(spec, stated, statistics.judged_on(part))
-
     motor_night = {"motor_id": spec.motor_id, "night": night}
     rows: Rows = {
         "fits": [],
@@ -90,7 +84,7 @@ def fit_rows(
     }
     for mode in modes:
         key = motor_night | {"flushing_mode": mode.name}
-        own = _mode_columns(spec, statistics, mode, judged_on)
+        own = _mode_columns(spec, statistics, mode)
         own |= {"is_primary": mode.name == spec.file.flushing.mode}
         rows["fits"].append(shared | key | own)
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
@@ -115,41 +109,37 @@ def _mode_columns(
     spec: MotorSpec,
     statistics: NightStatistics,
     mode: BlockFit,
-    judged_on: Callable[..., Array],
 ) -> Row:
-    """Figures of one fit."""
-    agrees = judged_on, mode.training
-    # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
-    if spec.settings.estimation.loss != "squared":
-        agrees = statistics.judged_on, mode.stated.training
+    """Return the figures of one fit."""
     return {
         "correlation_time_s": mode.memory_s,
-        **agreement_columns(spec, *agrees),
+        **agreement_columns(spec, mode, statistics.factor_of),
         **block_fit_columns(mode),
         **residual_columns(mode.residuals),
         **leakage_columns(mode),
     }
 
 
-def agreement_columns(
-    spec: MotorSpec, judged_on: Callable[[str], Array], fitted: ProvenMinimum
-) -> Row:
-    """Agreement of the training fit with the training and the validation samples, and its criteria.
+def agreement_columns(spec: MotorSpec, mode: BlockFit, factor_of: Callable[[str], Array]) -> Row:
+    """Return how the training fit agrees with training and validation samples, and its criteria.
 
-    The criteria are those of a squared loss: a robust one has none of them.
+    `factor_of` gives the factor of a part's samples, in the columns of the model as stated.
     """
-    theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
-    found = {part: agreement(judged_on(part), theta, resolution) for part in (TRAINING, VALIDATION)}
+    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
+    found = {
+        part: agreement(
+            with_free_rollers(spec, mode.stated.fit.motor, factor_of(part)), theta, resolution
+        )
+        for part in (TRAINING, VALIDATION)
+    }
     row: Row = {
-        f"{part}_{name}": getattr(one, name)
-        for part, one in found.items()
+        f"{part}_{name}": getattr(of_part, name)
+        for part, of_part in found.items()
         for name in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min")
     }
-    if spec.settings.estimation.loss == "squared":
-        training = found[TRAINING]
-        cost = (training.rmse_l_per_min or 0.0) ** 2
-        row |= asdict(criteria(cost, fitted.n_estimated, training.n))
-    return row
+    training = found[TRAINING]
+    cost = (training.rmse_l_per_min or 0.0) ** 2
+    return row | asdict(criteria(cost, mode.training.n_estimated, training.n))
 
 
 def block_fit_columns(mode: BlockFit) -> Row:

@@ -149,7 +149,6 @@ def block_rows(
         "motor_id": spec.motor_id,
         "night": night,
         "factor_columns": list(motor.columns),
-        "weight_inflation": statistics.inflation,
         "model_hash": statistics.model_hash,
     }
     return _rows(columns, shared)

@@ -33,7 +33,6 @@ BLOCK_COLUMNS = (
     "model_hash",
     "viscosity_ratio",
     "mean_charge_over_case_bar",
-    "weight_inflation",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
 
@@ -102,11 +101,6 @@ class StoredBlocks:
     def viscosity_ratio(self) -> float | None:
         """Mean of the measured viscosity over the data sheet's; None where that holds."""
         return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
-
-    @property
-    def weight_inflation(self) -> float:
-        """Factor of robust weights on standard errors; 1 without them."""
-        return float(self.rows["weight_inflation"][0])
 
     @property
     def charge_bar(self) -> float | None:

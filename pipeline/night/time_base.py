@@ -25,6 +25,10 @@ from pipeline.night.transport_delay import delay_inputs
 
 NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+# Leakage follows its inputs within less than the period of this rate.
+MAXIMUM_RATE_HZ = 10.0
+# Faster changes are transients: in rpm/s, and in bar/s.
+TRANSIENTS = {"speed": 5.0, "pressure_difference": 50.0}
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 # The oil's own measurement: no sample needs it.
@@ -112,7 +116,7 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
         rounded = max(round(fastest / SECOND_US), 1) * SECOND_US
     else:
         rounded = round(SECOND_US / round(SECOND_US / fastest))
-    return max(rounded, ceil(SECOND_US / settings.maximum_rate_hz))
+    return max(rounded, ceil(SECOND_US / MAXIMUM_RATE_HZ))
 
 
 def bring_together(
@@ -141,7 +145,7 @@ def bring_together(
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
     unpaired: dict[str, Mask] = {}
     delay_s = None
-    if delay.mode != "off":
+    if delay.is_on:
         values, present, late, delay_s = delay_inputs(values, present, period / SECOND_US, delay)
         unpaired["transport_delay"] = late
     incomplete = ~reduce(np.logical_and, (present[name] for name in (*INPUTS, *low_pressures)))
@@ -251,12 +255,8 @@ def _transients(together: Together, cleaning: Cleaning) -> Mask | None:
     """Fast changes of speed or pressure."""
     if not cleaning.refuse_transients:
         return None
-    limits = {
-        "speed": cleaning.transient_speed_rpm_per_s,
-        "pressure_difference": cleaning.transient_pressure_bar_per_s,
-    }
     fast = np.zeros(len(together.grid_us), dtype=np.bool_)
-    for name, limit in limits.items():
+    for name, limit in TRANSIENTS.items():
         fast |= transient(together.values[name], together.present[name], together.period_s, limit)
     return fast
 

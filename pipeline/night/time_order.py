@@ -40,12 +40,12 @@ class Order:
     repeated: NDArray[np.intp]
 
 
-def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
+def order_of(time_us: Times) -> Order:
     """Order rows strictly by time.
 
     Examples
     --------
-    >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]), puts_in_order=True)
+    >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]))
     >>> found.rows.tolist(), found.late.tolist(), found.repeated.tolist()
     ([0, 1, 2, 5, 3, 4], [5], [6])
     """
@@ -53,10 +53,8 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     if not len(steps_where(lambda steps_us: steps_us <= 0, time_us)):
         return Order(slice(None), time_us, late, late, late)
     chosen = ~backward_time(time_us)
-    if puts_in_order:
-        late, stray = written_late(time_us, ~chosen, time_us[chosen])
-        if len(late):
-            chosen[late], chosen[stray] = True, False
+    late, stray = written_late(time_us, ~chosen, time_us[chosen])
+    chosen[late], chosen[stray] = True, False
     rows = np.flatnonzero(chosen)
     if len(late):
         rows = rows[np.argsort(time_us[rows], kind="stable")]
@@ -123,10 +121,10 @@ class SharedStamps:
         self._ordered: tuple[Times, Order] | None = None
         self._steps: tuple[Times, Steps] | None = None
 
-    def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
+    def order(self, time_us: Times) -> Order:
         """As `order_of`, once for stamps that are the same."""
         if self._ordered is None or not np.array_equal(self._ordered[0], time_us):
-            self._ordered = time_us, order_of(time_us, puts_in_order=puts_in_order)
+            self._ordered = time_us, order_of(time_us)
         return self._ordered[1]
 
     def steps(self, time_us: Times) -> Steps:

@@ -13,8 +13,11 @@ import numpy as np
 
 from pipeline.arrays import Mask, Values
 from pipeline.config import TransportDelay
+from pipeline.config.settings import MAXIMUM_DELAY_S
 
 L_PER_MIN_PER_M3_PER_S = 60_000.0
+# Averaging time of the drain flow that the delay is taken from.
+FLOW_AVERAGE_S = 10.0
 
 
 def drain_line_delay_s(
@@ -44,13 +47,13 @@ def delay_on_grid_s(
 ) -> Values:
     """τ at each sample of the time base, shape (n,) [s]; nan where there is no flow to tell it.
 
-    The flow is averaged over `flow_average_s` first: a pulse meter's single readings may be 0.
+    The flow is averaged first: a pulse meter's single readings may be 0.
     """
-    if settings.mode == "fixed":
+    if settings.fixed_s is not None:
         return np.full(len(flow_l_per_min), settings.fixed_s)
     if settings.line_length_m is None or settings.line_inner_diameter_mm is None:
         raise ValueError("a delay by the flow needs the line's length and diameter")
-    half = round(settings.flow_average_s / period_s) // 2
+    half = round(FLOW_AVERAGE_S / period_s) // 2
     row = np.arange(len(flow_l_per_min))
     first, last = np.maximum(row - half, 0), np.minimum(row + half + 1, len(row))
     total = np.concatenate([[0.0], np.cumsum(np.where(present, flow_l_per_min, 0.0))])
@@ -90,7 +93,7 @@ def delay_inputs(
     Channels, masks of where they are present, mask of samples with too long a delay, and τ [s].
     """
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
-    refused = ~(tau <= settings.maximum_s)
+    refused = ~(tau <= MAXIMUM_DELAY_S)
     leading: tuple[str, ...] = settings.leading
     lagging: tuple[str, ...] = settings.lagging
     direction = dict.fromkeys(leading, -1) | dict.fromkeys(lagging, 1)

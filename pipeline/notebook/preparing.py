@@ -72,10 +72,8 @@ class Prepared:
             self.frame,
             motor,
             tolerances=self.tolerances,
-            windows=self.settings.windows,
+            windows=self.settings.windows.blocks(),
             smoothing_s=self.settings.smoothing.window_s,
-            smoothing_of=self.settings.smoothing.apply_to,
-            loss=self.settings.estimation.loss,
             **options,
         )
 
@@ -204,7 +202,7 @@ def _cleaned(
     here = night(label, settings.nights)
     try:
         samples, quality = clean_channels(file, settings, here, channels)
-        samples, outside = choose_parts(file, settings, here, samples)
+        samples, outside = choose_parts(file, here, samples)
     except Insufficient as outcome:
         return pl.DataFrame(), [], f"night of {label}: {outcome.reason}"
     rows = [

@@ -27,10 +27,8 @@ from pipeline.store.tables import read_rows
 
 
 def audit(fleet: Fleet, motor_id: str, night: dt.date) -> list[str]:
-    """The audit of a motor's fits of a night, in lines; none without a fit or a starting point."""
+    """Return the audit of a motor's fits of a night, in lines; none without a fit."""
     spec = fleet.motor(motor_id)
-    if not spec.settings.estimation.starting_points:
-        return []
     fits, blocks = (
         read_rows(fleet.output, table, [motor_id], columns, [night])
         for table, columns in ((FITS, ()), (BLOCKS, BLOCK_COLUMNS))
@@ -49,7 +47,7 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
     if coefficient_names(motor) != row["coefficient_names"]:
         factors = with_free_known(factors, *scale_of(motor))
         motor = motor.with_free_standard()
-    found = _searched(spec, motor, row, merge(factors))
+    found = _search(spec, motor, row, merge(factors))
     yield f"Audit, flushing {mode}"
     if found.starts:
         gap = "" if found.gap is None else f", the best {found.gap:+.1e}"
@@ -65,18 +63,12 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
         )
 
 
-def _searched(spec: MotorSpec, motor: Motor, row: dict[str, Any], factor: Array) -> Search:
-    """The thesis's search over all kept samples of a night."""
-    asked = spec.settings.estimation
-    # The same draws for the same run seed, motor, night and mode.
-    text = f"{asked.seed}|{spec.motor_id}|{row['night']}|{row['flushing_mode']}"
+def _search(spec: MotorSpec, motor: Motor, row: dict[str, Any], factor: Array) -> Search:
+    """Search as the thesis does, over all samples of a night."""
+    # The same draws for the same motor, night and mode.
+    text = f"1|{spec.motor_id}|{row['night']}|{row['flushing_mode']}"
     seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-    return search(
-        factor,
-        motor,
-        np.random.default_rng(seed),
-        starting_points=asked.starting_points,
-    )
+    return search(factor, motor, np.random.default_rng(seed))
 
 
 def _spreads(motor: Motor, found: Search) -> Iterator[str]:

@@ -217,8 +217,6 @@ class MotorNights:
 
     def is_roller_free(self) -> bool:
         """The decision of all nights that the motor has by now, whichever were asked for."""
-        if self.spec.settings.model.roller_scale == "fixed":
-            return False
         told = {
             label: record.tells_roller for label, record in self.records.items()
         } | self.first_told

@@ -13,7 +13,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.night.fit_night import Insufficient, clean_channels
+from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES, Insufficient, clean_channels
 from pipeline.night.time_base import Samples
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
@@ -56,8 +56,7 @@ def operation(spec: MotorSpec, samples: Samples) -> str:
         f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
         "tells every path within 30 minutes"
     )
-    windows = spec.settings.windows
-    needed = windows.minimum_training_minutes / windows.training_share
+    needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
     return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"

@@ -41,6 +41,10 @@ SCHEDULER_LOST = "scheduler_lost"
 REMEDY = "start it anew with the same program, packages and folders, and --nthreads 1"
 # How often to look whether there are workers while nothing finishes [s].
 LOOK_S = 1.0
+# Time to wait for scheduler and first worker.
+WAIT_S = 30.0
+# Most tasks at the scheduler: enough for its workers, and a few for it to hold.
+TASKS_IN_FLIGHT = 256
 
 
 @contextmanager
@@ -63,7 +67,7 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
     logging.getLogger("distributed").setLevel(logging.WARNING)
     # Versions that differ are an error of ours, said below.
     warnings.simplefilter("ignore", VersionMismatchWarning)
-    where, wait_s, expected = execution.scheduler, execution.scheduler_wait_s, own_versions()
+    where, wait_s, expected = execution.scheduler, WAIT_S, own_versions()
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(where, timeout=wait_s, set_as_default=False))
@@ -145,13 +149,13 @@ def _tried(
 
     Raises StoreError if what a task staged cannot be written.
     """
-    waiting, wait_s = iter(tasks), execution.scheduler_wait_s
+    waiting, wait_s = iter(tasks), WAIT_S
     under_way: dict[Future[Any], Any] = {}
     ended: SimpleQueue[Future[Any]] = SimpleQueue()
     arguments = {"limits": execution, "expected": expected, "pure": False}
     try:
         while client.status == "running":
-            for task in islice(waiting, execution.tasks_in_flight - len(under_way)):
+            for task in islice(waiting, TASKS_IN_FLIGHT - len(under_way)):
                 future = client.submit(do_on_worker, function, task, **arguments)
                 under_way[future] = task
                 future.add_done_callback(ended.put)

@@ -58,7 +58,7 @@ class Processes:
             wait_until(lambda: len(client.run(os.getpid, on_error="ignore")) == n_workers)
 
     def execution(self, **changed: Any) -> Execution:
-        settings = {"backend": "dask", "scheduler": self.address, "scheduler_wait_s": PATIENCE_S}
+        settings = {"backend": "dask", "scheduler": self.address}
         return Execution.model_validate(settings | changed)
 
     def end(self) -> None:

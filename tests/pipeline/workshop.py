@@ -36,7 +36,7 @@ length_mm = 4.0
 deformation_pressure_bar = 120.0
 gap_um = { value = 8.0, minimum = 1.0, maximum = 60.0 }
 """
-QUICK = FLEET + '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+QUICK = FLEET + '[execution]\nbackend = "sequential"\n'
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ NAMES = {
     "leakage_flow": "drain_flow_lpm",
 }
 HEADER = ",".join(NAMES.values())
-QUICK = '\n[estimation]\nstarting_points = 0\n\n[execution]\nbackend = "sequential"\n'
+QUICK = '\n[execution]\nbackend = "sequential"\n'
 MACHINE = ("motor_type=CB400", "oil=vg68", "time_zone=UTC")
 
 

@@ -98,18 +98,18 @@ def _line(course: Course, night: JudgedNight, name: str, limit: float | None) ->
     first, end = watched.period.first, watched.place + 1
     if night.change is not None:
         first = max(first, history.place_from(dt.date.fromordinal(night.change.since)))
-    trend, here = night.spec.settings.trend, slice(first, end)
+    here = slice(first, end)
     numbers, series = history.numbers[here], course.figures[here, WATCHED.index(name)]
     hours = history.running_hours(end)[first:]
-    line = fit_slope(numbers, series, numbers / DAYS_A_YEAR, coverage=trend.confidence)
-    by_hours = fit_slope(numbers, series, hours / 1000.0, coverage=trend.confidence)
+    line = fit_slope(numbers, series, numbers / DAYS_A_YEAR)
+    by_hours = fit_slope(numbers, series, hours / 1000.0)
     row: Row = {"n_nights": line.n, "is_provisional": line.status == "provisional"}
     for per, one in (("per_year", line), ("per_1000_h", by_hours)):
         row[f"slope_{per}"] = one.slope
         row |= {f"slope_{per}_lower": one.lower, f"slope_{per}_upper": one.upper}
     if line.slope is None or limit is None:
         return row, {}
-    return row, _days(numbers, hours, series, limit, trend.horizon_years)
+    return row, _days(numbers, hours, series, limit, night.spec.settings.trend.horizon_years)
 
 
 def _days(

@@ -195,12 +195,11 @@ def test_an_oil_change_is_dated(configs: Path) -> None:
 
 def test_an_override_holds_for_its_motor_alone(configs: Path) -> None:
     change(configs, "fleet.toml", "[execution]", "[smoothing]\nwindow_s = 5.0\n[execution]")
-    add(configs, MOTOR, '\n[override]\nsmoothing.apply_to = "leakage"\nnights.end_hour = 5\n')
+    add(configs, MOTOR, "\n[override]\nsmoothing.window_s = 7.0\nnights.end_hour = 5\n")
     settings = {spec.motor_id: spec.settings for spec in load(configs).motors}
-    assert settings["CB400-01"].smoothing.window_s == 5.0
-    assert settings["CB400-01"].smoothing.apply_to == "leakage"
+    assert settings["CB400-01"].smoothing.window_s == 7.0
     assert settings["CB400-01"].nights.end_hour == 5
-    assert settings["CB400-02"].smoothing.apply_to == "all"
+    assert settings["CB400-02"].smoothing.window_s == 5.0
     assert settings["CB400-02"].nights.end_hour == 6
 
 

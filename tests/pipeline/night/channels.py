@@ -28,10 +28,7 @@ RULES = ChannelRules(
     valid_range=(0.0, 100.0),
     sensor_maximum=None,
     resolution=0.1,
-    hampel_window=11,
-    hampel_threshold=5.0,
     frozen_after_s=60.0,
-    gap_sample_periods=5.0,
     longest_gap_s=None,
 )
 

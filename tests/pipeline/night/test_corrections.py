@@ -16,6 +16,7 @@ from leakage.physics.oil import density_kg_per_m3
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from pipeline.config import Channel, ConfigError, MotorSpec, TransportDelay
 from pipeline.config.oil_samples import OilSample
+from pipeline.night import transport_delay
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit
 from pipeline.night.transport_delay import (
@@ -41,7 +42,7 @@ def test_worked_value_of_the_line_s_volume() -> None:
 
 def test_flow_is_averaged_so_that_a_pulse_meter_has_a_delay() -> None:
     flow = np.tile([0.0, 0.6], 300)
-    settings = TransportDelay(mode="flow", leading=("speed",), flow_average_s=10.0, **LINE)
+    settings = TransportDelay(leading=("speed",), **LINE)
     tau = delay_on_grid_s(flow, np.ones(600, np.bool_), 0.1, settings)
     np.testing.assert_allclose(tau, drain_line_delay_s(np.array([0.3]), 2.0, 12.0)[0], rtol=0.03)
 
@@ -68,9 +69,8 @@ def test_above_its_limit_or_without_flow_a_sample_is_refused() -> None:
     flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan])
     values = {"speed": np.arange(5.0), "leakage_flow": flow}
     present = {"speed": np.ones(5, np.bool_), "leakage_flow": np.isfinite(flow)}
-    settings = TransportDelay(
-        mode="flow", leading=("speed",), maximum_s=30.0, flow_average_s=0.0, **LINE
-    )
+    # At 0.5 l/min half the length is a delay of 14 s: a tenth of that flow is beyond the limit.
+    settings = TransportDelay(leading=("speed",), **LINE)
     _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
     assert refused.tolist() == [False, False, True, True, True]
     assert not there["speed"][refused].any()
@@ -85,9 +85,8 @@ def with_delay(folder: Path, keys: str) -> MotorSpec:
 
 def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path: Path) -> None:
     errors = []
-    for seconds in (30.0, 0.0):
-        keys = f'mode = "fixed"\nfixed_s = {seconds}\nlagging = ["oil_temperature"]'
-        spec = with_delay(tmp_path / str(seconds), keys)
+    for keys in ('fixed_s = 30.0\nlagging = ["oil_temperature"]', ""):
+        spec = with_delay(tmp_path / str(len(keys)), keys)
         celsius = OPERATION.temperature_c
         late = {"oil_temperature": np.append(np.full(30, celsius[0]), celsius[:-30])}
         outcome = fitted(spec, OPERATION, configured_flow(spec, OPERATION), late)
@@ -95,12 +94,13 @@ def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path:
     assert errors[0] < 0.02 * errors[1]
 
 
-def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path) -> None:
-    mode = (
-        'mode = "flow"\nline_length_m = 2.0\nline_inner_diameter_mm = 12.0\nmaximum_s = 15.0\n'
-        'flow_average_s = 0.0\nlagging = ["oil_temperature"]'
-    )
-    spec = with_delay(tmp_path, mode)
+def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transport_delay, "FLOW_AVERAGE_S", 0.0)
+    monkeypatch.setattr(transport_delay, "MAXIMUM_DELAY_S", 15.0)
+    line = "line_length_m = 2.0\nline_inner_diameter_mm = 12.0\n"
+    spec = with_delay(tmp_path, f'{line}lagging = ["oil_temperature"]')
     flow = configured_flow(spec, OPERATION)
     tau = drain_line_delay_s(flow, 2.0, 12.0)
     # Oil that leaves the motor at t passes the sensor at t + τ(t).
@@ -115,10 +115,12 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path)
 @pytest.mark.parametrize(
     "keys",
     [
-        'mode = "fixed"',
-        'mode = "flow"\nleading = ["speed"]\nline_length_m = 1.0',
+        "fixed_s = 1.0",
+        'leading = ["speed"]\nline_length_m = 1.0',
+        'leading = ["speed"]',
         'leading = ["speed"]\nlagging = ["speed"]',
-        'mode = "fixed"\nfixed_s = 61.0\nleading = ["speed"]',
+        'fixed_s = 61.0\nleading = ["speed"]',
+        'fixed_s = 1.0\nline_length_m = 1.0\nline_inner_diameter_mm = 9.0\nleading = ["speed"]',
         'leading = ["leakage_flow"]',
     ],
 )

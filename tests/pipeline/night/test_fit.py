@@ -129,17 +129,6 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
     assert share == pytest.approx(-0.048, abs=0.004)
 
 
-def test_hubers_loss_withstands_what_the_cleaning_lets_through(spec: MotorSpec) -> None:
-    """Bursts of 20 s in 8 % of the time are no spikes: squares follow them, Huber does not."""
-    flow = configured_flow(spec, LONG) + white(N) + 0.3 * (np.arange(N) % 250 < 20)
-    off = {}
-    for loss in ("squared", "huber"):
-        row = fit_of(fitted(with_settings(spec, "estimation", loss=loss), LONG, flow).rows)
-        assert (row.get("fpe") is None) == (row.get("bic") is None) == (loss == "huber")
-        off[loss] = abs(row["fitted_leakage_l_per_min"] - 1.371423)
-    assert off["huber"] < 0.25 * off["squared"]
-
-
 @pytest.mark.parametrize("logged", [True, False])
 def test_two_sided_leakage_is_found_again(tmp_path: Path, logged: bool) -> None:
     """Charge pressure from a channel or as a constant; one-sided, the ring is far off."""
@@ -208,16 +197,12 @@ def test_four_litres_more_move_the_flushing_alone(spec: MotorSpec) -> None:
     )
 
 
-def test_matched_smoothing_leaves_k_as_it_is_and_the_thesis_s_does_not(spec: MotorSpec) -> None:
-    # model.md, section 4: on the columns of z no error, on y alone a few per cent.
+def test_smoothing_leaves_k_as_it_is(spec: MotorSpec) -> None:
+    """On y alone it would move K by a few per cent (model.md, section 4)."""
     operation = operate()
-    values = simulate(spec, operation)
-    largest = {}
-    for apply_to in ("all", "leakage"):
-        own = with_settings(spec, "smoothing", window_s=30.0, apply_to=apply_to)
-        largest[apply_to] = max(errors_of_k(spec, fit(own, operation, values).rows, "none"))
-    assert largest["all"] < 1e-6
-    assert largest["leakage"] > 1e-2
+    own = with_settings(spec, "smoothing", window_s=30.0)
+    rows = fit(own, operation, simulate(spec, operation)).rows
+    assert max(errors_of_k(spec, rows, "none")) < 1e-6
 
 
 def with_ports(folder: Path, more: str = "") -> MotorSpec:
@@ -321,11 +306,8 @@ ALL_RULES = """
 [override.cleaning]
 refuse_transients = true
 [override.transport_delay]
-mode = "fixed"
 fixed_s = 2.0
 lagging = ["oil_temperature"]
-[override.windows]
-longest_gap_s = 60.0
 """
 BY_HAND = """
 [periods]

@@ -15,7 +15,8 @@ from polars.testing import assert_frame_equal
 
 import pipeline.logs.motor_logs
 from leakage import OperatingConditions, total_flow_l_per_min
-from pipeline.config import MotorSpec, hashes
+from leakage.estimation.sample_blocks import Windows as Blocks
+from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.night.fit_night import NightOutcome
@@ -27,7 +28,7 @@ from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, wit
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
-OTHER_CLEANING = QUICK + "[cleaning]\nhampel_threshold = 6.0\n"
+OTHER_CLEANING = QUICK + "[cleaning]\nguard_after_s = 31.0\n"
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_a_night_of_merged_blocks_is_made_anew(
 ) -> None:
     workshop = Workshop.at(tmp_path)
     workshop.log(NIGHT)
-    workshop.configure(fleet=QUICK + "[windows]\nmaximum_blocks = 4\n")
+    monkeypatch.setattr(Windows, "blocks", lambda _: Blocks(maximum_blocks=4))
     workshop.run()
     blocks, before = workshop.rows("blocks"), workshop.rows("fits")
     assert blocks.height <= 4

@@ -38,8 +38,12 @@ Row = dict[str, Any]
 LONG = operate(minutes=120.0)
 N = len(LONG.time_us)
 AT = OperatingConditions.from_bar(LONG.pressure_bar, LONG.temperature_c, LONG.speed_rpm)
-# Every sample is kept, so that errors can be computed by hand.
-KEEP_ALL = "[override.cleaning]\nhampel_threshold = 1000.0\nfrozen_after_s = 1e6\n"
+
+
+@pytest.fixture(autouse=True)
+def every_sample_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors can be computed by hand."""
+    monkeypatch.setattr("pipeline.night.cleaning.CHANNEL_RULES", {})
 
 
 CHANNELS = {
@@ -50,7 +54,7 @@ CHANNELS = {
 
 
 def motor(folder: Path, more: str = "") -> MotorSpec:
-    return load_motor(folder, motor_toml("M1", more=more + KEEP_ALL))
+    return load_motor(folder, motor_toml("M1", more=more))
 
 
 def rows_of(outcome: NightOutcome, table: str, part: str, test: str, smoothed: bool) -> list[Row]:
@@ -159,10 +163,8 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
         assert row["reason"] is None
 
 
-@pytest.mark.parametrize("apply_to", ["all", "leakage"])
-def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: str) -> None:
-    more = f'[override.smoothing]\nwindow_s = 61.0\napply_to = "{apply_to}"\n'
-    spec = motor(tmp_path, more)
+def test_inputs_are_smoothed_as_the_regressors_are(tmp_path: Path) -> None:
+    spec = motor(tmp_path, "[override.smoothing]\nwindow_s = 61.0\n")
     flow = configured_flow(spec, LONG) + white(N)
     outcome = fitted(spec, LONG, flow)
 
@@ -172,13 +174,9 @@ def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: 
         sums = np.array([np.convolve(one, window, "same") for one in values.reshape(-1, 120)])
         return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
 
-    inputs = averaged if apply_to == "all" else unchanged
-    hand = by_hand(spec, flow, outcome, inputs=inputs, output=averaged)
+    hand = by_hand(spec, flow, outcome, inputs=averaged, output=averaged)
     pressure = LONG.pressure_bar
-    if apply_to == "all":
-        error, u = averaged(hand.error), averaged(pressure)
-    else:
-        error, u = hand.error - flow + averaged(flow), pressure
+    error, u = averaged(hand.error), averaged(pressure)
     smooth, plain = (
         np.corrcoef(one[hand.training], other[hand.training])[0, 1]
         for one, other in ((error, u), (hand.error, pressure))

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Cleaning, ConfigError, MotorSpec, TimeBase
+from pipeline.config import ConfigError, MotorSpec, TimeBase
 from pipeline.config.logs import Logs
 from pipeline.night.channel_rules import Sampling, flow_from_counts
+from pipeline.night.cleaning import HAMPEL_THRESHOLD
 from pipeline.night.masks import out_of_range
 from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import grid_period_us
@@ -140,7 +141,6 @@ def test_means_of_a_period_above_the_limit_are_refused_by_name(
     spec: MotorSpec, seconds: float, refused: bool
 ) -> None:
     spec = with_channel(spec, "speed", sampling="mean", mean_of_s=seconds)
-    assert spec.settings.cleaning.maximum_mean_s == 10.0
     outcome = fit(spec, MOVING, MOVING.channels(configured_flow(spec, MOVING)))
     assert outcome.error_code == ("means_too_long" if refused else None)
     if refused:
@@ -294,7 +294,7 @@ def refused_in(channel: str, value: Floats) -> dict[str, int]:
 @pytest.mark.parametrize("channel", CANONICAL)
 @pytest.mark.parametrize("level", [1, 433, 750, 1099])
 def test_a_reading_as_many_steps_off_as_the_threshold_is_no_spike(channel: str, level: int) -> None:
-    step, threshold = RESOLUTION[QUANTITIES[channel]], Cleaning().hampel_threshold
+    step, threshold = RESOLUTION[QUANTITIES[channel]], HAMPEL_THRESHOLD
     steps = np.full(101, float(level))
     steps[10::20] += threshold * np.array([1, -1, 1, -1, 1])
     for unit, value in in_units(channel, np.round(steps * step, 6)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,17 +13,17 @@ from numpy.typing import NDArray
 
 from leakage.estimation.sample_blocks import (
     GUARD,
-    NONE_CHOSEN,
     TRAINING,
     VALIDATION,
     Block,
     ChosenPeriods,
+    Windows,
     merge_neighbours,
     split_into_blocks,
+    within,
 )
-from pipeline.config import ConfigError, Windows
+from pipeline.config import ConfigError
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.statistics import left_out, too_uniform
 from pipeline.schema.fits import INSUFFICIENT_DATA
 from tests.pipeline.night.noise_free import configured_flow, fit, refused_of
 from tests.pipeline.simulated import load_motor, motor_toml, operate
@@ -74,9 +73,9 @@ def test_every_sample_lies_in_exactly_one_block_short_or_stored(
         for one, other in itertools.pairwise(blocks):
             assert one.end_us <= other.start_us
     for block in stored:
-        within = [one for one in short if block.first_row <= one.first_row < block.end_row]
-        assert {one.part for one in within} == {block.part}
-        assert (block.start_us, block.end_us) == (within[0].start_us, within[-1].end_us)
+        joined = [part for part in short if block.first_row <= part.first_row < block.end_row]
+        assert {part.part for part in joined} == {block.part}
+        assert (block.start_us, block.end_us) == (joined[0].start_us, joined[-1].end_us)
     length = round(settings.block_s * SECOND)
     for block in short:
         assert block.n > 0
@@ -112,48 +111,6 @@ def test_training_and_validation_never_touch(n_minutes: int, guard: int) -> None
     assert all(n == guard for letter, n in letters[:-1] if letter == "g")
 
 
-def reasons(
-    time_us: NDArray[np.int64], chosen_periods: ChosenPeriods = NONE_CHOSEN, **keys: Any
-) -> dict[str, Any]:
-    return left_out(time_us, SECOND, START, Windows(**keys), chosen_periods)
-
-
-def test_a_block_that_kept_too_little_is_left_out() -> None:
-    """Blocks of two minutes: 120, 24 and 120 samples."""
-    time = np.concatenate([minutes(0, 2), minutes(2, 4, step_s=5), minutes(4, 6)])
-    found = reasons(time, minimum_block_share=0.5)
-    assert np.flatnonzero(found["thin_block"]).tolist() == list(range(120, 144))
-    assert not found["short_stretch"].any()
-    assert not reasons(time, minimum_block_share=0.2)["thin_block"].any()
-
-
-def test_stretches_between_long_gaps_must_be_long_enough() -> None:
-    time = np.concatenate([minutes(0, 30), minutes(40, 44), minutes(60, 100)])
-    keys: dict[str, Any] = {"longest_gap_s": 300.0, "minimum_stretch_minutes": 10.0}
-    found = reasons(time, **keys)["short_stretch"]
-    assert np.flatnonzero(found).tolist() == list(range(1800, 2040))
-    assert not reasons(time, **(keys | {"longest_gap_s": 1200.0}))["short_stretch"].any()
-    assert reasons(time, **(keys | {"minimum_stretch_minutes": 50.0}))["short_stretch"].all()
-
-
-def test_a_spread_that_is_too_small_is_named() -> None:
-    uniform = {
-        "pressure": np.full(100, 180.0),
-        "speed": np.linspace(10, 50, 101),
-        "temperature": np.linspace(50, 51, 101),
-    }
-    assert too_uniform(uniform, Windows()) is None
-    found = too_uniform(
-        uniform,
-        Windows(
-            minimum_pressure_spread_bar=20.0,
-            minimum_speed_spread_rpm=36.0,
-            minimum_temperature_spread_c=2.0,
-        ),
-    )
-    assert found == ("pressure spans 0 bar, 20 are needed; temperature spans 0.9 °C, 2 are needed")
-
-
 # Periods set by hand
 
 BY_HAND = ChosenPeriods(
@@ -164,9 +121,7 @@ BY_HAND = ChosenPeriods(
 
 def test_periods_set_chosen_periods_decide_alone() -> None:
     time = minutes(0, 60)
-    outside = reasons(time, BY_HAND, minimum_block_share=1.0)
-    assert list(outside) == ["outside_periods"]
-    kept = time[~outside["outside_periods"]]
+    kept = time[within(time, BY_HAND.training + BY_HAND.validation)]
     assert (kept[0], kept[-1]) == (START + 10 * MINUTE, START + 50 * MINUTE - SECOND)
     blocks = split_into_blocks(kept, START, Windows(), BY_HAND)
     # The block from 30 to 32 min holds samples of both.
@@ -193,14 +148,6 @@ def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
-        (
-            "[override.windows]\nlongest_gap_s = 60.0\nminimum_stretch_minutes = 90.0\n",
-            "no part of the night is good enough to fit (short stretch 100 %",
-        ),
-        (
-            "[override.windows]\nminimum_pressure_spread_bar = 400.0\n",
-            "training: pressure spans",
-        ),
         (
             "[periods]\ntraining = [[2026-03-02T05:00:00Z, 2026-03-02T05:30:00Z]]\n",
             "no part of the night is good enough to fit (outside periods 100 %",

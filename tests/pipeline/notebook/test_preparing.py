@@ -76,15 +76,7 @@ def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object
     return differing
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        "",
-        "[override.smoothing]\nwindow_s = 5.0\n",
-        '[override.smoothing]\nwindow_s = 5.0\napply_to = "leakage"\n',
-        '[override.estimation]\nloss = "huber"\n',
-    ],
-)
+@pytest.mark.parametrize("more", ["", "[override.smoothing]\nwindow_s = 5.0\n"])
 def test_the_same_figures_as_the_nightly_run_to_the_last_bit(tmp_path: Path, more: str) -> None:
     spec = load_motor(tmp_path, motor_toml("M1", more=more))
     time_us, values = night_like_the_demo_s(spec)

@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.config import load_fleet
 from tests.pipeline.trends.nights import Nights, configure, publish
 
-QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+QUICK = '[execution]\nbackend = "sequential"\n'
 # The leakage is 1.4 l/min.
 LIMITS = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = 1.0\n"
 N = 3

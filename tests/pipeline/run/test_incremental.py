@@ -29,7 +29,7 @@ States = Mapping[str, str]
 NIGHTS = tuple(FIRST + number * DAY for number in range(4))
 # A setting of each kind, and what must be made anew for it: all nights, or none.
 SETTINGS = {
-    "[cleaning]\nhampel_threshold = 6.0\n": ("cleaning.hampel_threshold", Work.READ),
+    "[cleaning]\nguard_after_s = 31.0\n": ("cleaning.guard_after_s", Work.READ),
     "[windows]\ntraining_share = 0.7\n": ("windows.training_share", Work.READ),
     "[smoothing]\nwindow_s = 10.0\n": ("smoothing.window_s", Work.READ),
     "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),

@@ -45,7 +45,7 @@ HOURS = 12.0
 # Errors of a night's flow and of a block's, relative.
 NIGHT_ERROR, BLOCK_ERROR = 0.003, 0.004
 N_BLOCKS, SAMPLES, BLOCK_S = 12, 8, 240
-QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+QUICK = '[execution]\nbackend = "sequential"\n'
 
 
 @lru_cache(maxsize=16)
@@ -193,7 +193,6 @@ class Nights:
                     "n": SAMPLES,
                     "factor_columns": list(self.spec.motor(label, self.mode).columns),
                     "factor": whole[np.triu_indices(len(whole))].tolist(),
-                    "weight_inflation": 1.0,
                     "model_hash": self._hash(place),
                     **means,
                 }

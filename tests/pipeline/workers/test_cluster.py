@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.config import Execution
 from pipeline.errors import EngineError
+from pipeline.workers import cluster
 from pipeline.workers.cluster import CODE, do_on_worker, own_versions
 from pipeline.workers.engine import open_workers
 from pipeline.workers.process import Loss
@@ -53,7 +54,7 @@ def test_what_a_task_stages_comes_back_with_its_result(
 
 
 def test_what_a_task_does_to_its_worker_costs_no_other(two_workers: Processes) -> None:
-    execution = two_workers.execution(timeout_s=2.0, scheduler_wait_s=20.0)
+    execution = two_workers.execution(timeout_s=2.0)
     found = run(execution, do, ["hang_in_c", "a", "raise_error", "b"])
     assert sorted(found) == [
         "a done",
@@ -64,9 +65,13 @@ def test_what_a_task_does_to_its_worker_costs_no_other(two_workers: Processes) -
 
 
 @pytest.mark.full
-def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
+def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cluster, "WAIT_S", 1.0)
+    monkeypatch.setattr(cluster, "TASKS_IN_FLIGHT", 1)
     with scheduler_with(1, "--no-nanny") as processes:
-        execution = processes.execution(scheduler_wait_s=1.0, tasks_in_flight=1)
+        execution = processes.execution()
         found = run(execution, kill_workers_at_three, list(range(6)))
         told = [one for one in found if isinstance(one, str)]
         assert [one for one in found if isinstance(one, int)] == [0, 1, 4]
@@ -78,9 +83,13 @@ def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
         assert code_of(execution).code == "scheduler_unreachable"
 
 
-def test_a_scheduler_without_workers_and_one_that_is_gone(tmp_path: Path) -> None:
+def test_a_scheduler_without_workers_and_one_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with scheduler_with(0) as processes:
-        assert code_of(processes.execution(scheduler_wait_s=0.5)).code == "scheduler_unreachable"
+        with monkeypatch.context() as patch:
+            patch.setattr(cluster, "WAIT_S", 0.5)
+            assert code_of(processes.execution()).code == "scheduler_unreachable"
         processes.add_worker("--no-nanny")
         with open_workers(processes.execution()) as workers:
             results = workers.run(wait_for_word, [Wait(n, tmp_path) for n in range(4)], lost)
@@ -91,13 +100,14 @@ def test_a_scheduler_without_workers_and_one_that_is_gone(tmp_path: Path) -> Non
         assert all("scheduler_lost: " in one for one in rest)
 
 
-def test_no_more_tasks_in_flight_than_stated_and_a_stopped_run_takes_its_own_back(
-    two_workers: Processes, tmp_path: Path
+def test_few_tasks_are_in_flight_and_a_stopped_run_takes_its_own_back(
+    two_workers: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from distributed import Client
 
+    monkeypatch.setattr(cluster, "TASKS_IN_FLIGHT", 3)
     with (
-        open_workers(two_workers.execution(tasks_in_flight=3)) as workers,
+        open_workers(two_workers.execution()) as workers,
         Client(two_workers.address, set_as_default=False) as client,
     ):
         results = workers.run(wait_for_word, [Wait(n, tmp_path) for n in range(9)], lost)
