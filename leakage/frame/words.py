@@ -101,11 +101,16 @@ def errors(part: str, found: ResidualAnalysis) -> str:
     """What is left of a part after the fit."""
     if found.whiteness.verdict == "not_tested":
         return f"errors of {part}: not tested, {found.whiteness.reason}"
-    tests = found.independence.items()
-    failed = [name.replace("_", " ") for name, test in tests if test.verdict == "failed"]
     white = "white" if found.whiteness.verdict == "passed" else "not white"
-    related = f"go with {', '.join(failed)}" if failed else "independent of every input"
-    return f"errors of {part}: {white}, {related}"
+    verdicts = {name.replace("_", " "): test.verdict for name, test in found.independence.items()}
+    if set(verdicts.values()) == {"passed"}:
+        return f"errors of {part}: {white}, independent of every input"
+    related = (
+        f"{words} {', '.join(name for name, verdict in verdicts.items() if verdict == of)}"
+        for of, words in (("failed", "go with"), ("not_tested", "not tested against"))
+        if of in verdicts.values()
+    )
+    return f"errors of {part}: {white}, {', '.join(related)}"
 
 
 def model(misfit: Misfit | None) -> str:

@@ -59,13 +59,18 @@ def check(
     2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
+    from pipeline.logs.processed import as_published, read_settings
     from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
+    from pipeline.store.state import read_state_file
 
     if tables:
         raise typer.Exit(_check_tables(config, output, as_json=as_json))
     fleet = load(config, None, None)
-    checks = tuple(check_motor(spec, is_full=full) for spec in fleet.motors)
+    with read_state_file(fleet.output) as state:
+        settings = read_settings(state)
+    specs = [as_published(spec, settings.get(spec.motor_id)) for spec in fleet.motors]
+    checks = tuple(check_motor(spec, is_full=full) for spec in specs)
     for one in checks:
         if as_json:
             tell(asdict(one), "", as_json=True)

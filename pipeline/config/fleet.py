@@ -37,6 +37,21 @@ class MotorSpec:
     log_url: str = ""  # in the place of `log_root`
     roller_is_free: bool = False  # scale of the rollers' curve, as the motor's own nights decide
     circuit_samples: tuple[OilSample, ...] = ()  # of its oil circuit's file
+    # Delay of its drain flow as its first nights decide it; None: not decided, or not estimated.
+    drain_delay_s: float | None = None
+
+    def decided(self, drain_delay_s: float | None, *, roller_is_free: bool) -> MotorSpec:
+        """The motor as stated, in the form that its own nights decide on."""
+        stated = self.settings.transport_delay
+        if not stated.is_estimated:
+            drain_delay_s = None
+        settings = self.settings
+        if drain_delay_s:
+            paired = stated.of_all_inputs(drain_delay_s)
+            settings = settings.model_copy(update={"transport_delay": paired})
+        return replace(
+            self, roller_is_free=roller_is_free, drain_delay_s=drain_delay_s, settings=settings
+        )
 
     @property
     def stated(self) -> MotorSpec:

@@ -32,8 +32,8 @@ STATISTICS_VERSION = 3
 FIGURES_VERSION = 6
 
 ALL = ~Stage.NOTHING
-# Key of a motor whose rollers' scale is free.
-ROLLER = "roller"
+# Keys of a motor whose rollers' scale is free, and of its drain flow's delay once it is decided.
+ROLLER, DRAIN_DELAY = "roller", "drain_delay_s"
 # Of changed settings, so many are named.
 SETTINGS_NAMED = 4
 
@@ -142,6 +142,7 @@ def settings_of(spec: MotorSpec) -> dict[str, Any]:
         "nights": shaping(spec, ALL & ~Stage.TRENDS),
         "trends": shaping(spec, Stage.TRENDS),
         **({ROLLER: "free"} if spec.roller_is_free else {}),
+        **({} if spec.drain_delay_s is None else {DRAIN_DELAY: spec.drain_delay_s}),
     }
     found: dict[str, Any] = json.loads(json.dumps(document, default=str))
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
@@ -80,8 +80,9 @@ class TransportDelay(Section):
 
     shapes = Stage.BLOCKS
 
-    fixed_s: Annotated[Positive, Field(le=MAXIMUM_DELAY_S)] | None = None
-    """The delay, where it is always the same."""
+    fixed_s: Annotated[NonNegative, Field(le=MAXIMUM_DELAY_S)] | None = None
+    """The delay, where it is always the same; 0: none. Without it and a drain line the delay of all
+    inputs is estimated from the motor's first nights."""
     line_length_m: Positive | None = None
     """Length of the drain line, whose volume over the drain flow is the delay."""
     line_inner_diameter_mm: Positive | None = None
@@ -105,7 +106,16 @@ class TransportDelay(Section):
     @property
     def is_on(self) -> bool:
         """True if inputs are paired with the drain flow of another time."""
-        return self.fixed_s is not None or self.line_length_m is not None
+        return bool(self.fixed_s) or self.line_length_m is not None
+
+    @property
+    def is_estimated(self) -> bool:
+        """True if the motor's own nights decide."""
+        return self.fixed_s is None and self.line_length_m is None
+
+    def of_all_inputs(self, delay_s: float) -> TransportDelay:
+        """All inputs leading the drain flow by the same time."""
+        return self.model_copy(update={"fixed_s": delay_s, "leading": get_args(InputName)})
 
 
 class Smoothing(Section):

@@ -11,13 +11,13 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.clock import IN_FUTURE
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import ROLLER
+from pipeline.config.hashes import DRAIN_DELAY, ROLLER
 from pipeline.messages import counted
 from pipeline.schema.fits import OK
 from pipeline.store.state import State
@@ -185,8 +185,9 @@ def _stored(value: Any) -> Any:
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
-    """A motor with the form of its fits that its last run's settings have."""
-    return replace(spec, roller_is_free=ROLLER in (settings or {}))
+    """A motor in the form of its fits that its last run's settings have."""
+    known = settings or {}
+    return spec.decided(known.get(DRAIN_DELAY), roller_is_free=ROLLER in known)
 
 
 def read_settings(state: State) -> dict[str, dict[str, Any]]:

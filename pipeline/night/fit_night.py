@@ -20,6 +20,7 @@ from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules, means_too_long
 from pipeline.night.cleaning import clean_channel
+from pipeline.night.drain_lag import lag_columns
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.rows import Row, Rows, fit_rows, night_row, of_fit, unfitted_row
 from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
@@ -105,6 +106,8 @@ def fit_night(
             modes = with_residuals(spec, statistics, modes, errors)
         with _timed(seconds, "fit_s"):
             rows |= fit_rows(spec, night.date, statistics, modes, budget)
+            lag = lag_columns(statistics)
+            rows["fits"] = [row | lag for row in rows["fits"]]
             rows["predictions"] = prediction_rows(
                 spec.motor_id, night.date, statistics, modes, errors[0]
             )

@@ -78,6 +78,7 @@ def conditions(samples: Samples) -> Row:
         "mean_temperature_c": float(samples.oil_temperature_c.mean()),
         "mean_speed_rpm": float(np.abs(speed).mean()),
         "mean_drain_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
+        "drain_delay_s": samples.delay_s,
     }
 
 

@@ -76,8 +76,8 @@ class Samples:
     # guard times.
     n_running: int
     first_index: int = 0  # place of the log's first sample on the grid
-    # Transport delay on the whole grid that the samples were paired with; None where it is off.
-    delay_s: Values | None = None
+    # Transport delay that the kept samples were paired with, their mean.
+    delay_s: float = 0.0
     # n_logged, n_turning: samples of the grid with a credible speed, and those of them above
     # standstill.
     n_logged: int = 0
@@ -144,7 +144,7 @@ def bring_together(
         present["pressure_difference"] = present[high] & present[low]
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
     unpaired: dict[str, Mask] = {}
-    delay_s = None
+    delay_s = np.zeros(len(grid))
     if delay.is_on:
         values, present, late, delay_s = delay_inputs(values, present, period / SECOND_US, delay)
         unpaired["transport_delay"] = late
@@ -177,7 +177,7 @@ def bring_together(
             n_grid=len(grid),
             n_running=int(np.count_nonzero(running)),
             first_index=begin,
-            delay_s=delay_s,
+            delay_s=float(delay_s[kept].mean()) if len(kept) else 0.0,
             n_logged=n_logged,
             n_turning=n_turning,
             halts=settled_halts(

@@ -1,8 +1,9 @@
 """Transport delay between the motor and the sensors of its drain line, equation (14).
 
-Off unless asked for. In a full line a change of flow arrives at the speed of sound and only the
-oil's temperature is carried along; the thesis delays the drain flow as a whole. So each input is
-stated as one that leads the drain flow, or as one that is measured in the line and lags it.
+In a full line a change of flow arrives at the speed of sound and only the oil's temperature is
+carried along; the thesis delays the drain flow as a whole, and so do lines that are not full, and
+meters that average. So a delay of all inputs is estimated from the motor's first nights; where it
+is stated, each input is one that leads the drain flow, or is measured in the line and lags it.
 """
 
 from __future__ import annotations

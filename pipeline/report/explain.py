@@ -23,7 +23,7 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_TESTS,
 )
-from pipeline.schema.fits import OK
+from pipeline.schema.fits import LEAST_GAIN_PERCENT, OK
 from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
 
@@ -146,6 +146,7 @@ def _fit(own: Row, fit: Row, fits: list[Row]) -> Iterator[str]:
         if own[column] is not None
     ]
     yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
+    yield from lag_words(own["drain_delay_s"], fit)
     status = fit["interval_status"]
     if status != "ok":
         is_ok = status.startswith("ok: ")
@@ -159,6 +160,18 @@ def _fit(own: Row, fit: Row, fits: list[Row]) -> Iterator[str]:
         modes = ", ".join(fit_words(mode, percent) for mode, percent in known.items())
         best = [mode for mode, percent in known.items() if percent == max(known.values())]
         yield f"modes of flushing on validation: {modes}; best: {', '.join(best) or 'none'}"
+
+
+def lag_words(paired_s: float, fit: Row) -> Iterator[str]:
+    """Yield how the drain flow is paired with its inputs, and what the night itself says of it."""
+    lag_s, gain = fit["drain_lag_s"], fit["drain_lag_gain_percent"]
+    gains = lag_s is not None and gain >= LEAST_GAIN_PERCENT
+    if not (paired_s or gains):
+        return
+    own = "this night has no lag of its own"
+    if gains:
+        own = f"by this night it lags {lag_s:.1f} s, which explains {gain:.0f} % more of it"
+    yield f"drain flow paired with inputs {paired_s:.1f} s before: {own}"
 
 
 def _leakages(own: Row, fit: Row) -> Iterator[str]:
@@ -263,10 +276,20 @@ def _tests(rows: list[Row]) -> str:
     if white["verdict"] == "not_tested":
         return f"not tested, {white['reason']}"
     inputs = {plain(row["input"]): row["verdict"] for row in rows if row["test"] == "independence"}
-    failed = ", ".join(name for name, verdict in inputs.items() if verdict == "failed")
+    reach_s = max(lag for row in rows for lag in row["lags_s"])
+    words = {
+        "failed": "depend on {}",
+        "passed": f"independent of {{}} within {reach_s:g} s",
+        "not_tested": "not tested against {}",
+    }
+    against = [
+        text.format(", ".join(names))
+        for verdict, text in words.items()
+        if (names := [name for name, of in inputs.items() if of == verdict])
+    ]
     pairs = zip(white["correlations"], white["bounds"], strict=True)
     outside = [abs(value) > bound for value, bound in pairs if None not in (value, bound)]
     memory = "not autocorrelated"
     if white["verdict"] != "passed":
         memory = f"autocorrelated, {sum(outside)} of {len(outside)} lags outside the 99 % band"
-    return f"{memory}; {f'depend on {failed}' if failed else 'independent of the inputs'}"
+    return "; ".join((memory, *against))

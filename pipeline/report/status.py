@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from pipeline.config.hashes import DRAIN_DELAY
 from pipeline.errors import UsageError
 from pipeline.intraday.rows import intraday_statuses
-from pipeline.logs.processed import read_stays, stay_lines
+from pipeline.logs.processed import read_settings, read_stays, stay_lines
 from pipeline.messages import counted
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
-from pipeline.schema import ALARMS, NIGHTS
-from pipeline.schema.fits import FAILED
+from pipeline.schema import ALARMS, FITS, NIGHTS
+from pipeline.schema.fits import AGREEING_S, DECIDING_NIGHTS, FAILED, LAG_COLUMNS, agreed_lag
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.state import read_state_file
@@ -80,6 +82,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
     """
     with read_state_file(output) as state:
         stays, gone = read_stays(state, motor_ids)
+        settings = read_settings(state)
     decisions = read_decisions(output)
     excluded = {
         (decision.motor_id, decision.night) for decision in decisions if decision.kind == "excluded"
@@ -100,8 +103,26 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
         yield from (f"{motor_id}: {line}" for line in stay_lines(stays[motor_id]))
         if n := gone.get(motor_id):
             yield f"{motor_id}: {counted(n, 'published night')} without a log any more"
+    yield from _proposed_delays(output, settings)
     if any(failures.values()):
         yield "a failed night: mend or remove its log, then fit-fleet --retry; or ack --night"
+
+
+def _proposed_delays(output: Path, settings: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield delays of drain flows on which the newest nights agree, other than the one in use."""
+    decided = {name: one[DRAIN_DELAY] for name, one in settings.items() if DRAIN_DELAY in one}
+    columns = ("motor_id", "night", *LAG_COLUMNS)
+    fits = read_rows(output, FITS, sorted(decided), columns).drop_nulls().unique(columns[:2])
+    for (motor_id,), rows in fits.sort(columns[:2]).group_by("motor_id", maintain_order=True):
+        newest = rows.tail(DECIDING_NIGHTS)
+        lag = agreed_lag(newest.to_dicts()) if len(newest) == DECIDING_NIGHTS else None
+        if lag is not None and abs(lag[0] - decided[motor_id]) > AGREEING_S:
+            yield (
+                f"{motor_id}: in the last {DECIDING_NIGHTS} nights the drain flow lags by "
+                f"{lag[0]:.1f} s (explains {lag[1]:.0f} % more of it), paired are "
+                f"{decided[motor_id]:.1f} s; to pair all nights so: fit-fleet --redo "
+                f"{newest['night'][0]}..{newest['night'][-1]} --motors {motor_id}"
+            )
 
 
 def failed_nights(output: Path, motor_id: str) -> dict[dt.date, str]:

@@ -12,19 +12,33 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.config.hashes import ROLLER, SettingsHashes, settings_of, why_anew
+from pipeline.config.hashes import SettingsHashes, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
-from pipeline.logs.processed import GONE, FileRecord, NightRecord, ProcessedChange, ProcessedLogs
+from pipeline.logs.processed import (
+    GONE,
+    FileRecord,
+    NightRecord,
+    ProcessedChange,
+    ProcessedLogs,
+    as_published,
+)
 from pipeline.run.coverage import NO_LOG
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
-from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK, WITH_SAMPLES
+from pipeline.schema.fits import (
+    DECIDING_NIGHTS,
+    FAILED,
+    INSUFFICIENT_DATA,
+    NO_NEW_DATA,
+    OK,
+    WITH_SAMPLES,
+)
 
 if TYPE_CHECKING:
     from pipeline.night.fit_night import NightOutcome
@@ -95,8 +109,9 @@ class MotorNights:
             if not labels_of(file) & self.abandoned
         }
         self.nights_before = before.nights
-        self.form = replace(self.spec, roller_is_free=ROLLER in self.settings_before)
+        self.form = as_published(self.spec, self.settings_before)
         self.hashes = SettingsHashes(self.form)
+        self.is_delay_decided = False  # in this run
         # Nights whose form this run changed: as they told the scale before.
         self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
@@ -116,7 +131,8 @@ class MotorNights:
     @property
     def is_quiet(self) -> bool:
         """True where no night is to be made, and no form of the fits changed."""
-        return not self.open_nights() and self.is_roller_free() == self.form.roller_is_free
+        is_decided = self.is_roller_free() == self.form.roller_is_free
+        return is_decided and not self.open_nights() and not self.nights_of_delay()
 
     def _note_gone(self) -> None:
         """Note which published nights have no log any more, and which have one again."""
@@ -130,6 +146,7 @@ class MotorNights:
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
         present, found = self.logs.present(), {}
+        why = cache(self._why_anew)
         for label, record in self.nights_before.items():
             if not record.statistics_hash:
                 continue
@@ -141,15 +158,16 @@ class MotorNights:
                 is_of_blocks = record.statistics_hash == statistics and record.status == OK
                 if is_of_blocks or label in present:
                     work = Work.REFIT if is_of_blocks else Work.READ
-                    found[label] = Step(work, self._why_anew)
+                    found[label] = Step(work, why())
                 elif record.status in WITH_SAMPLES:
-                    found[label] = Step(Work.STAY, f"{self._why_anew}, and {GONE}")
+                    found[label] = Step(Work.STAY, f"{why()}, and {GONE}")
         asked = filter(self.task.asks_for, present)
         return found | dict.fromkeys(asked, Step(Work.READ, "asked for"))
 
-    @cached_property
     def _why_anew(self) -> str:
         """Settings that changed since the last run, in words."""
+        if self.is_delay_decided:
+            return f"the drain flow is delayed by {self.form.drain_delay_s or 0.0:g} s"
         return why_anew(self.settings_before, settings_of(self.form))
 
     def open_nights(self) -> dict[dt.date, Step]:
@@ -222,6 +240,24 @@ class MotorNights:
         } | self.first_told
         begins = [event.date for event in self.spec.file.baseline_events]
         return is_roller_free(told, begins, FIRST_NIGHTS)
+
+    def nights_of_delay(self) -> list[dt.date]:
+        """Nights that decide on the drain flow's delay; empty where it is decided, or too early.
+
+        The first ones, once; the first ones asked for where somebody wants nights made anew.
+        """
+        if not self.spec.settings.transport_delay.is_estimated:
+            return []
+        is_asked = self.task.redo is not None
+        if (self.form.drain_delay_s is not None and not is_asked) or self.is_delay_decided:
+            return []
+        fitted = [
+            label
+            for label, record in sorted(self.records.items())
+            if record.status == OK
+            and (not is_asked or (label in self.done and self.task.asks_for(label)))
+        ]
+        return fitted[:DECIDING_NIGHTS] if len(fitted) >= DECIDING_NIGHTS else []
 
     def _without_log(self) -> set[dt.date]:
         """Failed nights whose log somebody has removed: there is nothing to fail any more."""

@@ -37,8 +37,15 @@ from pipeline.run.coverage import why_less
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
-from pipeline.schema import LOG_FILES, NIGHT_TABLES, NIGHTS, QUALITY
-from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK, WITH_SAMPLES
+from pipeline.schema import FITS, LOG_FILES, NIGHT_TABLES, NIGHTS, QUALITY, Table
+from pipeline.schema.fits import (
+    FAILED,
+    LAG_COLUMNS,
+    NO_NEW_DATA,
+    OK,
+    WITH_SAMPLES,
+    agreed_lag,
+)
 from pipeline.store.publishing import stage, staged_file
 from pipeline.store.tables import read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
@@ -98,6 +105,8 @@ class _Making(MotorNights):
                 # Also those that an earlier state of a file had been read for.
                 for waiting in self.logs.waiting() & self.done.keys():
                     self._take_back(waiting)
+                plan = self.open_nights()
+            if self._decide_delay():
                 plan = self.open_nights()
             # Of a first load: the nights to come are then fitted once.
             if not self.nights_before:
@@ -187,11 +196,30 @@ class _Making(MotorNights):
             published = None if outcome.tables is None else self.stored.night(outcome.night)
             return refit_in_form(self.form, outcome, published) or outcome
 
+    def _decide_delay(self) -> bool:
+        """Decide on the drain flow's delay once; True where nights are to be paired anew."""
+        deciding = self.nights_of_delay()
+        if not deciding:
+            return False
+        lag = agreed_lag(self._rows_of(deciding, FITS, LAG_COLUMNS))
+        before = self.form.drain_delay_s
+        delay_s = 0.0 if lag is None else lag[0]
+        self.is_delay_decided = True
+        self.form = self.spec.decided(delay_s, roller_is_free=self.form.roller_is_free)
+        if delay_s == (before or 0.0):
+            return False
+        self.hashes = SettingsHashes(self.form)
+        for label in list(self.done):
+            self._take_back(label)
+        self.by_settings = self._outdated_by_settings()
+        return True
+
     def _decide_form(self) -> None:
         """All nights with a fit in the other form."""
         if self.is_roller_free() == self.form.roller_is_free:
             return
-        self.form = replace(self.spec, roller_is_free=not self.form.roller_is_free)
+        is_free = not self.form.roller_is_free
+        self.form = self.spec.decided(self.form.drain_delay_s, roller_is_free=is_free)
         self.hashes = SettingsHashes(self.form)
         for label in sorted(label for label, record in self.records.items() if record.status == OK):
             outcome = self.done.get(label) or self.stored.outcome(label)
@@ -247,14 +275,18 @@ class _Making(MotorNights):
             for one, record in sorted(self.records.items())
             if since <= one < label and record.status == OK
         ][-USUAL_NIGHTS:]
+        return usual_readings(self._rows_of(nights, NIGHTS, tuple(COLUMNS.values())))
+
+    def _rows_of(
+        self, nights: Collection[dt.date], table: Table, columns: tuple[str, ...]
+    ) -> list[Row]:
+        """Rows of some nights, as this run made them or as they are published."""
         made = [night for night in nights if night in self.done and self.done[night].tables is None]
-        rows = [row for one in made for row in self.done[one].rows["nights"]]
+        rows = [row for night in made for row in self.done[night].rows[table.name]]
         if published := set(nights).difference(made):
-            columns = ("night", *COLUMNS.values())
-            motor_ids = [self.spec.motor_id]
-            found = read_rows(self.task.output, NIGHTS, motor_ids, columns, published)
-            rows += found.to_dicts()
-        return usual_readings(rows)
+            motor_ids, wanted = [self.spec.motor_id], ("night", *columns)
+            rows += read_rows(self.task.output, table, motor_ids, wanted, published).to_dicts()
+        return rows
 
     def _stage(self) -> None:
         by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)

@@ -1,6 +1,8 @@
-"""Outcomes of a motor's night, `status` of the table `nights`, and verdicts on its model."""
+"""Outcomes of a motor's night, verdicts on its model, and what nights say of the drain flow."""
 
-from typing import Literal
+from collections.abc import Iterable, Mapping
+from statistics import median
+from typing import Any, Literal
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
 INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
@@ -17,3 +19,23 @@ def model_verdict(lack_of_fit: float) -> ModelVerdict:
     if lack_of_fit <= SUPPORTED:
         return "supported"
     return "doubtful" if lack_of_fit <= DOUBTFUL else "disproved"
+
+
+LAG_COLUMNS = ("drain_lag_s", "drain_lag_gain_percent")
+# Nights that decide on the drain flow's delay, how close their lags are to one another, and what
+# they explain: steady motors scatter over the whole range (model.md, 7c.7).
+DECIDING_NIGHTS, AGREEING_S, LEAST_GAIN_PERCENT = 8, 0.5, 5.0
+
+
+def agreed_lag(fits: Iterable[Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Return the lag [s] that nights agree on and its gain [%], medians; None: they do not.
+
+    `fits` are the deciding nights' rows of `fits`.
+    """
+    rows = list(fits)
+    lags = [row["drain_lag_s"] for row in rows]
+    if not rows or None in lags:
+        return None
+    lag, gain = median(lags), median(row["drain_lag_gain_percent"] for row in rows)
+    agree = max(abs(one - lag) for one in lags) <= AGREEING_S
+    return (round(lag, 2), gain) if agree and lag > 0.0 and gain >= LEAST_GAIN_PERCENT else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
-from pipeline.schema.fits import OK
+from pipeline.schema.fits import DECIDING_NIGHTS, OK, agreed_lag
 from pipeline.setup.column_check import (
     Dated,
     changed_readings,
@@ -121,7 +121,7 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
         for name, days in dated_otherwise(records).items()
     ]
     forecast = tuple(_forecast(spec, records, sorted(nights), is_full=is_full))
-    notes = [*worth, *written]
+    notes = [*worth, *written, *_lag_notes(spec, forecast)]
     if len(names) != len(logs.names):
         notes.append(
             f"{len(names)} of {len(logs.names)} objects were opened, the first and the last by "
@@ -178,6 +178,21 @@ def _forecast(
         yield found
         if found.status == OK:
             return
+
+
+def _lag_notes(spec: MotorSpec, forecast: Sequence[NightForecast]) -> Iterator[str]:
+    """Yield how the drain flow is paired with its inputs, and what the nights read say of it."""
+    delay_s = spec.drain_delay_s
+    if delay_s:
+        yield f"drain flow paired with inputs {delay_s:.1f} s before, as the first nights agree"
+    first = [asdict(night) for night in forecast if night.status == OK][:DECIDING_NIGHTS]
+    lag = agreed_lag(first)
+    if delay_s is None and lag is not None and spec.settings.transport_delay.is_estimated:
+        which = f"in the night {first[0]['night']}" if len(first) == 1 else "in the first nights"
+        yield (
+            f"the drain flow lags pressure and speed by {lag[0]:.1f} s {which}, which explains "
+            f"{lag[1]:.0f} % more of it: a run pairs all nights so if {DECIDING_NIGHTS} agree"
+        )
 
 
 def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]:

@@ -20,7 +20,7 @@ from pipeline.night.column_change import (
     usual_readings,
 )
 from pipeline.night.fit_night import fit_night
-from pipeline.schema.fits import FAILED, NO_NEW_DATA, OK
+from pipeline.schema.fits import FAILED, LAG_COLUMNS, NO_NEW_DATA, OK
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,9 @@ class NightForecast:
     night: str
     status: str  # as in `nights`
     reason: str
+    # As in `fits`: lag of its drain flow, and what it explains.
+    drain_lag_s: float | None = None
+    drain_lag_gain_percent: float | None = None
 
 
 def forecasts(
@@ -44,7 +47,7 @@ def forecasts(
     logs = MotorLogs(spec, {}, latest_us(), {}, records)
     fitted: dict[dt.date, Mapping[str, Any]] = {}
     for label in sorted(logs.present() if labels is None else labels):
-        status, reason, row = _forecast(spec, logs, label)
+        status, reason, row, lag = _forecast(spec, logs, label)
         since = _era(spec, label)
         nights = [one for one in fitted if one >= since][-USUAL_NIGHTS:]
         usual, now = usual_readings(fitted[night] for night in nights), readings_of(row)
@@ -52,25 +55,26 @@ def forecasts(
             status, reason = FAILED, why
         if status == OK:
             fitted[label] = row
-        yield NightForecast(label.isoformat(), status, reason)
+        yield NightForecast(label.isoformat(), status, reason, **lag)
 
 
 def _forecast(
     spec: MotorSpec, logs: MotorLogs, label: dt.date
-) -> tuple[str, str, Mapping[str, Any]]:
+) -> tuple[str, str, Mapping[str, Any], Mapping[str, float | None]]:
     here = night(label, spec.settings.nights)
     names = logs.of_night(label)
     contents = [logs.content(name) for name in (*logs.before_night(here), *names)]
     broken = [one for name in names if (one := logs.files[name]).status != "ok"]
     if broken:
-        return FAILED, broken[0].message or "", {}
+        return FAILED, broken[0].message or "", {}, {}
     read = [content for content in contents if content is not None]
     channels = slice_night(read, here, reaches_us(spec))
     if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
-        return NO_NEW_DATA, "no log covers this night", {}
+        return NO_NEW_DATA, "no log covers this night", {}, {}
     outcome = fit_night(spec, here, channels)
     logs.let_go_until(label)
-    return outcome.status, outcome.reason or "", outcome.rows["nights"][0]
+    lag = {name: outcome.rows["fits"][0].get(name) for name in LAG_COLUMNS}
+    return outcome.status, outcome.reason or "", outcome.rows["nights"][0], lag
 
 
 def _era(spec: MotorSpec, label: dt.date) -> dt.date:

@@ -79,6 +79,8 @@ class Simulated:
     flushing: float = 0.0  # of the true motor [l/min]
     # Readings from a night on, by channel: (first night, factor, offset), as a meter that drifts.
     misread: Mapping[str, tuple[int, float, float]] = field(default_factory=dict)
+    # Rows by which the drain flow is logged late from a night on: (first night, rows).
+    late_flow: tuple[int, int] | None = None
     # Another oil than the config says from a night on: (first night, name).
     unstated_oil: tuple[int, str] | None = None
     lines: str = ""  # further lines of its file: [[events]], [flushing], …
@@ -335,6 +337,8 @@ def _misread(recording: Recording, motor: Simulated, number: int) -> Recording:
     for channel, (first, factor, offset) in motor.misread.items():
         if number >= first:
             values[channel] = np.round(values[channel] * factor + offset, 6)
+    if motor.late_flow and number >= motor.late_flow[0]:
+        values["leakage_flow"] = np.roll(values["leakage_flow"], motor.late_flow[1])
     return replace(recording, values=values)
 
 

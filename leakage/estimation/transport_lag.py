@@ -1,0 +1,109 @@
+r"""How long a motor's drain flow lags what drives it.
+
+The lag that explains most of the flow's variance,
+
+.. math:: y(t) \approx \theta_0 + \theta^T u(t - \tau) ,
+
+is sought over the samples themselves; an error of the drivers u in shape costs explained variance
+at every lag alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leakage.arrays import Array, Places
+
+# Lags that are tried, both ways, and their distances, from coarse to fine [s].
+LONGEST_S, COARSE_S, FINE_S = 25.0, 1.0, 0.2
+# So many samples, evenly chosen, are enough to place a lag within a few hundredths of a second.
+MOST_SAMPLES = 8_000
+# Of these, the share that a lag needs: gaps leave some without a partner.
+LEAST_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class TransportLag:
+    """Lag of a flow behind what drives it, in one night."""
+
+    seconds: float  # lag that explains most; negative where the flow is ahead
+    gain: float  # share of the flow's variance that it explains beyond what lag 0 does
+
+
+def transport_lag(
+    flow: Array, drivers: Array, index: Places, period_s: float, paired_s: float = 0.0
+) -> TransportLag | None:
+    """Estimate how long a flow lags its drivers.
+
+    Parameters
+    ----------
+    flow, drivers
+        Shapes (n,) and (n, k).
+    index
+        Place of each sample on an even time base, increasing, shape (n,).
+    period_s
+        Period of that time base [s].
+    paired_s
+        Lag by which the drivers have been shifted already; it is part of the result [s].
+
+    Returns
+    -------
+    None where nothing varies, the largest lag is one of the outermost, or samples lie too far apart
+    or have too few neighbours.
+
+    Examples
+    --------
+    >>> load = np.repeat(np.random.default_rng(1).normal(size=100), 30)
+    >>> found = transport_lag(np.roll(load, 8), load[:, None], np.arange(3000), 1.0)
+    >>> round(found.seconds, 1), round(found.gain, 1)
+    (8.0, 0.5)
+    """
+    longest = int(LONGEST_S / period_s)
+    if longest < 1 or len(index) < 2 * longest or not np.ptp(flow):
+        return None
+    place = np.full(int(index[-1] - index[0]) + 1, -1)
+    place[index - index[0]] = np.arange(len(index))
+    chosen = np.linspace(0, len(index) - 1, min(len(index), MOST_SAMPLES)).astype(np.int64)
+    zero = -round(paired_s / period_s)
+
+    def explained(lag: int) -> float:
+        return _explained(flow, drivers, place, index, chosen, lag)
+
+    coarse, fine = (max(round(step_s / period_s), 1) for step_s in (COARSE_S, FINE_S))
+    shares = {lag: explained(lag) for lag in range(zero - longest, zero + longest + 1, coarse)}
+    best = max(shares, key=lambda lag: shares[lag])
+    near = range(best - coarse, best + coarse + 1, fine)
+    shares |= {lag: explained(lag) for lag in near if lag not in shares}
+    best = max(shares, key=lambda lag: shares[lag])
+    before, here, after = (shares.get(best + step, 0.0) for step in (-fine, 0, fine))
+    if min(before, here, after) <= 0.0 or abs(best - zero) == longest:
+        return None
+    bend = before - 2.0 * here + after
+    top = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    lag_s = paired_s + (best + fine * top) * period_s
+    return TransportLag(lag_s, here - shares[zero] if zero in shares else here - explained(zero))
+
+
+def _explained(
+    flow: Array, drivers: Array, place: Places, index: Places, chosen: Places, lag: int
+) -> float:
+    """R² of the flow on the drivers so many places before; 0 where samples are too few."""
+    at = index[chosen] - index[0] - lag
+    inside = (at >= 0) & (at < len(place))
+    partner = np.where(inside, place[np.where(inside, at, 0)], -1)
+    paired = partner >= 0
+    if np.count_nonzero(paired) < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
+        return 0.0
+    y, u = flow[chosen[paired]], drivers[partner[paired]]
+    y, u = y - y.mean(), u - u.mean(axis=0)
+    spread = np.sqrt((u**2).mean(axis=0))
+    u = u / np.where(spread > 0.0, spread, 1.0)
+    total = float(y @ y)
+    if total <= 0.0:
+        return 0.0
+    # Of a motor at one load the drivers are nearly one and the same.
+    products = u.T @ y
+    theta = np.linalg.lstsq(u.T @ u, products, rcond=1e-9)[0]
+    return float(products @ theta) / total

@@ -1,0 +1,77 @@
+"""A drain line that delays its flow: estimated from the first nights, stated, and corrected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.scenarios.covering import covers
+from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet
+
+DELAY_S, FAST = 8, {"minutes": 30.0, "nights": 10}
+FIGURES = ("own_leakage_l_per_min", "leakage_change_percent", "validation_fit_percent")
+MOTORS = (Simulated("late", late_flow=(1, DELAY_S)), Simulated("prompt"))
+
+
+@pytest.fixture(scope="module")
+def unfitted(tmp_path_factory: pytest.TempPathFactory) -> ScenarioFleet:
+    return make_fleet(tmp_path_factory.mktemp("lines"), *MOTORS, **FAST)
+
+
+@pytest.fixture(scope="module")
+def fleet(unfitted: ScenarioFleet, tmp_path_factory: pytest.TempPathFactory) -> ScenarioFleet:
+    return unfitted.copy(tmp_path_factory.mktemp("fitted")).fitted()
+
+
+def column(fleet: ScenarioFleet, motor: str, name: str) -> list[float]:
+    return [row[name] for row in fleet.nights(motor)]
+
+
+def test_a_delay_is_estimated_and_the_fit_on_unseen_samples_rises(
+    unfitted: ScenarioFleet, fleet: ScenarioFleet, tmp_path: Path
+) -> None:
+    assert column(fleet, "late", "drain_delay_s") == pytest.approx([DELAY_S] * 10, abs=0.5)
+    assert set(column(fleet, "prompt", "drain_delay_s")) == {0.0}
+    plain = unfitted.copy(tmp_path)
+    plain.append("fleet.toml", '[transport_delay]\nmode = "off"')
+    plain.fitted()
+    with_it, without = (
+        pl.Series(column(one, "late", "validation_fit_percent")) for one in (fleet, plain)
+    )
+    assert (with_it - without).min() > 20
+    for name in FIGURES:
+        assert column(fleet, "prompt", name) == column(plain, "prompt", name)
+
+
+def test_night_by_night_it_is_decided_as_at_once(
+    unfitted: ScenarioFleet, fleet: ScenarioFleet, tmp_path: Path
+) -> None:
+    by_night = unfitted.copy(tmp_path)
+    for number in (5, 8, 10):
+        assert by_night.run("fit-fleet", "--until", by_night.label(number)).code == 0
+    for name in ("drain_delay_s", *FIGURES):
+        assert column(by_night, "late", name) == column(fleet, "late", name)
+    assert "to be done: 0 nights" in by_night.run("fit-fleet", "--dry-run").out
+
+
+@covers("check --full", "explain")
+def test_check_and_explain_say_what_it_gains(unfitted: ScenarioFleet, fleet: ScenarioFleet) -> None:
+    before = unfitted.run("check", "--full").out
+    assert before.count("the drain flow lags pressure and speed by 8.0 s in the first nights") == 1
+    assert "drain flow paired with inputs 8.0 s before" in fleet.run("check").out
+    words = fleet.run("explain", "late", fleet.label(9)).out
+    assert "drain flow paired with inputs 8.0 s before: by this night it lags 8.0 s" in words
+    assert "drain flow paired" not in fleet.run("explain", "prompt", fleet.label(9)).out
+
+
+@covers("fit-fleet --redo --motors", "status")
+def test_a_delay_of_later_nights_is_proposed_and_applied_on_demand(tmp_path: Path) -> None:
+    fleet = make_fleet(tmp_path, late_flow=(9, DELAY_S), minutes=30.0, nights=17).fitted()
+    assert set(column(fleet, "M1", "drain_delay_s")) == {0.0}
+    proposal = f"--redo {fleet.label(10)}..{fleet.label(17)} --motors M1"
+    assert proposal in fleet.run("status").err
+    assert fleet.run("fit-fleet", *proposal.split()).code == 0
+    assert column(fleet, "M1", "drain_delay_s") == pytest.approx([DELAY_S] * 17, abs=0.5)
+    assert "--redo" not in fleet.run("status").err
