@@ -245,7 +245,6 @@ def publish_run(
         "n_motors_failed": len(result.failed),
         "n_nights": result.n_nights,
         "total_s": result.seconds,
-        **result.seconds_by_stage,
         "damage": [str(one) for one in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]

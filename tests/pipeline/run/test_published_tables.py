@@ -20,13 +20,11 @@ EXCITED = [motor for motor in MOTORS if motor != "CB1120-02"]
 def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) -> None:
     (run,) = rows(fitted_output, "runs").to_dicts()
     assert run["version"] == version("motor-leakage")
-    assert min(run["motors_s"], run["publish_s"], run["trends_s"]) > 0
-    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["total_s"])
     outcomes = rows(fitted_output, "run_motors")
     assert (outcomes["read_s"] > 0).all()
     assert (outcomes["read_s"] < outcomes["total_s"]).all()
     # Motors are done one after another here, so theirs is no more than the run's.
-    assert outcomes["total_s"].sum() <= run["motors_s"]
+    assert outcomes["total_s"].sum() <= run["total_s"]
 
 
 # Nothing is raised, frozen or said in three nights.
