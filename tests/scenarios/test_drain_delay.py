@@ -34,7 +34,7 @@ def test_a_delay_is_estimated_and_the_fit_on_unseen_samples_rises(
     assert column(fleet, "late", "drain_delay_s") == pytest.approx([DELAY_S] * 10, abs=0.5)
     assert set(column(fleet, "prompt", "drain_delay_s")) == {0.0}
     plain = unfitted.copy(tmp_path)
-    plain.append("fleet.toml", '[transport_delay]\nmode = "off"')
+    plain.append("fleet.toml", "[transport_delay]\nfixed_s = 0")
     plain.fitted()
     with_it, without = (column(one, "late", "validation_fit_percent") for one in (fleet, plain))
     assert min(after - before for after, before in zip(with_it, without, strict=True)) > 20
