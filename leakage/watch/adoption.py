@@ -52,6 +52,7 @@ from leakage.watch.state import (
     nights_beyond,
     on_first_baseline,
     present,
+    probability_back,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
@@ -472,7 +473,7 @@ def at_rest(state: State) -> State:
         odd = state.window.days[state.window.odd > 1.0]
         is_over = not len(odd) or len(state.window) - state.place(odd[-1]) > QUIET_NIGHTS
     else:
-        is_over = present(state).holds_zero
+        is_over = present(state).holds_zero or probability_back(state) > choices.MOSTLY
     return replace(state, in_force=None) if is_over else state
 
 

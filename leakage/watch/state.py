@@ -371,6 +371,32 @@ def is_contradicted(state: State) -> bool:
     return mean.holds_zero or (is_first and is_opposite)
 
 
+def probability_back(state: State) -> float:
+    """Return how probably a change has undone the one before it; 0 where it has not.
+
+    What is left could not be detected: without this rule the rest of a repair is a warning on some
+    nights and none on others.
+    """
+    in_force = state.in_force
+    if in_force is None or in_force.change.cause == ODD_NIGHTS:
+        return 0.0
+    now, before = present(state), in_force.before.value
+    if before * (now.value - before) >= 0.0 or abs(now.value) >= abs(before):
+        return 0.0
+    limit = detection_limit(state) or 0.0
+    return now.probability_above(-limit) - now.probability_above(limit)
+
+
+def reported_change(state: State) -> Change | None:
+    """Return the change that is reported, None where there is none or its interval holds 0."""
+    change = change_in_force(state)
+    probability = probability_back(state)
+    if change is not None and probability > choices.MOSTLY:
+        candidates = {BACK: probability}
+        return replace(change, cause=BACK, probability=probability, candidates=candidates, alike=())
+    return None if is_contradicted(state) else change
+
+
 def change_in_force(state: State) -> Change | None:
     """The change in force; of all but a first one that settles, the size is now against before."""
     in_force = state.in_force

@@ -37,10 +37,10 @@ from leakage.watch.state import (
     change_in_force,
     detection_limit,
     direction,
-    is_contradicted,
     mean_change,
     nights_beyond,
     on_first_baseline,
+    reported_change,
 )
 
 
@@ -116,13 +116,15 @@ class Watch:
 
     def verdict(self) -> Verdict:
         """What is known after the newest night."""
-        state = self.state
+        state, change = self.state, reported_change(self.state)
+        limit = state.settings.limit
         return Verdict(
             state.day,
-            state.evidence,
-            state.settings.limit,
+            # Nothing is detected where the interval holds 0: then the evidence does not reach it.
+            state.evidence if change is not None else min(state.evidence, limit),
+            limit,
             state.baseline.lack_of_fit,
-            None if is_contradicted(state) else change_in_force(state),
+            change,
             on_first_baseline(state, slice(-1, None)),
             mean_change(state),
             detection_limit(state),

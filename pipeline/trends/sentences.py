@@ -272,14 +272,17 @@ def _changed(night: JudgedNight, change: Change) -> str:
     grade = f" (ISO VG {change.grade})" if change.grade else ""
     risen = "risen" if change.is_rise else "fallen"
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
-    goes_on = f"; still {'rising' if change.is_rise else 'falling'}" if change.goes_on else ""
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
     size = _newest_night(night)
     verdict = night.watched.verdict
     assert verdict is not None
-    if verdict.newest_night.holds_zero:
+    newest = verdict.newest_night
+    is_shown = newest.lower > 0.0 if change.is_rise else newest.upper < 0.0
+    if not is_shown:
         # What one night does not show by itself, those since the change do.
         size = f"{_quantity(change)} {relative_change(verdict.present)} since then, {size}"
+    goes_on = f"; still {'rising' if change.is_rise else 'falling'}"
+    goes_on = goes_on if change.goes_on and is_shown else ""
     parts = (
         *(f"{told}: {size}, {_since(change)}{goes_on}", gap),
         *(_beside_circuit(night, change), _others(change)),

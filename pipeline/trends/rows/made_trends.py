@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import itemgetter
 
 from leakage.estimation.identifiability import TOLD
@@ -33,7 +33,7 @@ class MadeTrends:
     """A motor's trends: rows by table, of the nights from a first one on.
 
     `changed` is the last night so far in which a change was in force; `stays` says why nights stay
-    as published.
+    as published; `drifts` are the sensors to be checked on each night, in words.
     """
 
     course: Course
@@ -42,6 +42,7 @@ class MadeTrends:
     changed: dt.date
     stays: Mapping[dt.date, str]
     rows: dict[Table, list[Row]]
+    drifts: dict[dt.date, dict[str, str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, course: Course, first: dt.date, stays: Mapping[dt.date, str]) -> MadeTrends:
@@ -69,7 +70,13 @@ class MadeTrends:
         key = {"motor_id": spec.motor_id, "night": label}
         rows = [*leakages, *trend_rows(self.course, night, self.zeros)]
         self.rows[TRENDS] += [key | row for row in rows]
-        drifts = [one for zero in self.zeros.values() if (one := zero.words(watched.place))]
+        drifts: dict[str, str] = {}
+        notices: dict[str, str] = {}
+        for name, zero in self.zeros.items():
+            is_notice = zero.is_notice(self.course, watched)
+            words = zero.words(watched.place, is_notice=is_notice)
+            (notices if is_notice else drifts).update({name: words} if words else {})
+        self.drifts[label] = drifts
         oil = oil_as_measured(nights.history, watched.place)
         quiet_since = self._quiet_since(watched)
         if night.state in CHANGED:
@@ -78,7 +85,7 @@ class MadeTrends:
             {
                 **(nights.rows.get(label) or night_row(spec, label, {}, NO_NEW_DATA, NO_LOG)),
                 **dict.fromkeys(OF_TRENDS),
-                **state_columns(night, quiet_since, drifts),
+                **state_columns(night, quiet_since, [*drifts.values()], [*notices.values()]),
                 **limits,
                 "previous_model_fit_percent": nights.previous_model_fit_percent(label),
                 "log_note": log_note(nights.history, watched.place, self._messages(label), oil),
@@ -136,13 +143,15 @@ class MadeTrends:
 
     def _sensor_state(self, zero: Zero, place: int) -> Row:
         """State of a sensor in a night, in the columns of `nights`."""
-        state = zero.state[place]
+        label = self.course.nights.history.nights[place]
+        words = self.drifts[label].get(zero.name, "")
+        state = "ok" if zero.state[place] == "warning" and not words else zero.state[place]
         return {
             "motor_id": self.course.spec.motor_id,
-            "night": self.course.nights.history.nights[place],
+            "night": label,
             "state": state,
             "cause": zero.name,
-            "sentence": zero.words(place) or "its zero is known",
+            "sentence": words or "its zero is known",
             "advice": CHECK_ZERO if state == "warning" else "",
         }
 

@@ -22,12 +22,17 @@ Row = dict[str, Any]
 SHORT, NIGHTS_COMPARED, FEWEST_COMPARED = 0.8, 14, 5
 
 
-def state_columns(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> Row:
+def state_columns(
+    night: JudgedNight,
+    quiet_since: dt.date | None,
+    drifts: Sequence[str],
+    notices: Sequence[str],
+) -> Row:
     """Leakages, their change, the state with its words, and the baseline of a night."""
     watched, change, verdict = night.watched, night.change, night.watched.verdict
     row: Row = {
         "state": night.state,
-        "sentence": sentence(night, quiet_since, drifts),
+        "sentence": sentence(night, quiet_since, [*drifts, *notices]),
         "advice": advice(night, drifts),
         "alarm_level_percent": night.spec.settings.alarms.alarm_percent,
         **_leakages(night),

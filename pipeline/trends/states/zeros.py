@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
 from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
+from pipeline.trends.states.course import Course, WatchedNight
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # A smaller move is no drift where the config states no tolerance: it moves the piston rings' K by
@@ -49,15 +50,35 @@ class Zero:
     state: tuple[str, ...]  # insufficient, ok or warning
     periods: tuple[BaselinePeriod, ...]  # nights that one zero at first serves
 
-    def words(self, place: int) -> str:
+    def words(self, place: int, *, is_notice: bool = False) -> str:
         """That the sensor has drifted by a night, in words; empty where it has not."""
         if self.state[place] != "warning":
             return ""
+        moves_little = "which moves the leakage by less than its interval"
         return (
             f"the zero of the {NAMES[self.name]} sensor has moved by "
             f"{self.move[place]:+z.3g} {self.unit} [{self.lower[place]:z.3g}, "
-            f"{self.upper[place]:.3g}]: check it before the motor"
+            f"{self.upper[place]:.3g}]"
+            f"{f', {moves_little}' if is_notice else ': check it before the motor'}"
         )
+
+    def is_notice(self, course: Course, watched: WatchedNight) -> bool:
+        """Return whether nothing is to be done about a sensor that has drifted (issue 49.8).
+
+        A pressure zero is work once it moves the leakage by more than the interval of its change.
+        """
+        baseline, verdict, place = watched.baseline, watched.verdict, watched.place
+        if self.name != PRESSURE_ZERO or self.state[place] != "warning":
+            return False
+        if baseline is None or verdict is None:
+            return True
+        own, theta = baseline.own, np.array(baseline.coefficients)
+        shifted = replace(own, pressure_bar=own.pressure_bar + float(self.move[place]))
+        before, after = (course.drives_at(at, place) for at in (own, shifted))
+        if isinstance(before, str) or isinstance(after, str):
+            return True
+        effect = float(theta @ after) / max(float(theta @ before), 1e-12) - 1.0
+        return abs(effect) <= verdict.present.upper - verdict.present.value
 
 
 def sensor_zeros(history: History) -> dict[str, Zero]:

@@ -1,0 +1,181 @@
+"""What a motor's rows of `nights` say that does not go together: state, interval, words, causes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+
+from tests.scenarios.published import Row
+
+CHANGED = ("warning", "alarm", "common_cause")
+# Causes that are no change of the leakage which stays: a notice, or nights of no common size.
+NOTICES, ODD = ("back_as_before", "temperature_effect"), "odd_nights"
+PART, SENSOR = "a_part", "temperature_sensor"
+NAMED, WHOLE = 0.9, 1.01
+PERCENT = r"([+-]?[\d.]+) % \[(-?[\d.]+), (-?[\d.]+)\]"
+
+
+def contradictions(rows: Sequence[Row]) -> list[str]:
+    """Return what contradicts itself in the nights of a motor, in order; empty where nothing."""
+    return [
+        f"{row['motor_id']} {row['night']} {rule.__name__}: {row['sentence']}"
+        for place, row in enumerate(rows)
+        if row["evidence_limit"] is not None
+        for rule in RULES
+        if not rule(row, rows[: place + 1])
+    ]
+
+
+def _is_of_change(row: Row) -> bool:
+    """True if the state rests on a change of the leakage that the watch has detected."""
+    is_raised = row["state"] in CHANGED and row["onset"] is not None
+    return is_raised and row["cause"] not in (*NOTICES, ODD) and "limit of" not in row["sentence"]
+
+
+def ok_has_no_evidence(row: Row, _: Sequence[Row]) -> bool:
+    """Nothing is told: the evidence is not above its limit, and the mean not beyond detection."""
+    if row["state"] != "ok" or row["cause"] in NOTICES:
+        return True
+    mean, limit = row["mean_change_percent"], row["detection_limit_percent"]
+    is_clear = row["mean_change_lower"] > limit or row["mean_change_upper"] < -limit
+    return (row["evidence"] or 0.0) <= row["evidence_limit"] and not (is_clear and abs(mean) > limit)
+
+
+def back_is_back(row: Row, _: Sequence[Row]) -> bool:
+    """What is back where it was is not beyond the detection limit."""
+    limit = row["detection_limit_percent"]
+    if row["cause"] != "back_as_before" or limit is None:
+        return True
+    return row["mean_change_lower"] < limit and row["mean_change_upper"] > -limit
+
+
+def warning_excludes_zero(row: Row, _: Sequence[Row]) -> bool:
+    """The mean of a change that stands has an interval without 0."""
+    is_no_leakage = row["cause"] in ("flushing", "zero")
+    if not _is_of_change(row) or is_no_leakage or row["state"] == "common_cause":
+        return True
+    return not row["mean_change_lower"] <= 0.0 <= row["mean_change_upper"]
+
+
+def detected_by_evidence(row: Row, rows: Sequence[Row]) -> bool:
+    """In its night a change has its evidence, or is a second night beyond the limit, unnamed."""
+    if not _is_of_change(row) or row["detected_on"] != row["night"]:
+        return True
+    is_second = not row["candidates"] and len(rows) > 1
+    return is_second or (row["evidence"] or 0.0) >= row["evidence_limit"]
+
+
+def dates_in_order(row: Row, _: Sequence[Row]) -> bool:
+    """A change begins before it is detected, and stands since then."""
+    if row["onset"] is None:
+        return True
+    begin = row["onset_earliest"] <= row["onset"] <= row["onset_latest"]
+    is_since = row["state_since"] is None or row["state_since"] <= row["night"]
+    return begin and row["onset_earliest"] <= row["detected_on"] <= row["night"] and is_since
+
+
+def alarm_is_beyond(row: Row, _: Sequence[Row]) -> bool:
+    """An alarm lies beyond its level, with 97.5 %."""
+    if row["state"] != "alarm" or not _is_of_change(row):
+        return True
+    return bool(row["mean_change_lower"] >= row["alarm_level_percent"] - 1e-6)
+
+
+def probabilities_sum(row: Row, _: Sequence[Row]) -> bool:
+    """Probabilities of causes are at most 1 together, in the columns and in the words."""
+    candidates = {one["cause"]: one["probability"] for one in row["candidates"] or ()}
+    said = re.search(r"probability (?:above )?([\d.]+) %(?:, else (.*?))?(?:;|$)", row["sentence"])
+    words = 0.0
+    if said is not None:
+        others = re.findall(r"([\d.]+) %", said.group(2) or "")
+        words = (float(said.group(1)) + sum(map(float, others))) / 100.0
+    is_own = row["cause"] not in candidates or math.isclose(
+        candidates[row["cause"]], row["cause_probability"] or 0.0, abs_tol=0.01
+    )
+    return sum(candidates.values()) <= WHOLE and words <= WHOLE + 0.01 and is_own
+
+
+def no_sensor_beside_a_part(row: Row, _: Sequence[Row]) -> bool:
+    """What is named a part is not the sensor in its candidates."""
+    if row["cause"] != PART:
+        return True
+    candidates = {one["cause"]: one["probability"] for one in row["candidates"] or ()}
+    return all(p < 1.0 - NAMED for name, p in candidates.items() if SENSOR in name.split(" or "))
+
+
+def odd_nights_are_odd(row: Row, rows: Sequence[Row]) -> bool:
+    """Between odd nights lie ordinary ones, as many at least."""
+    if row["cause"] != ODD:
+        return True
+    nights = [one for one in rows if one["night"] >= row["onset"]]
+    known = [one for one in nights if one["leakage_change_percent"] is not None]
+    middle = sorted(one["leakage_change_percent"] for one in known)[len(known) // 2]
+    odd = sum(
+        not one["leakage_change_lower"] <= middle <= one["leakage_change_upper"] for one in known
+    )
+    return 2 * odd <= len(known)
+
+
+def words_are_the_columns(row: Row, rows: Sequence[Row]) -> bool:
+    """Figures in the sentence are those of the columns; a rise has risen, and goes on rising."""
+    sentence, newest = row["sentence"], None
+    for one in rows:
+        newest = one if one["leakage_change_percent"] is not None else newest
+    pairs = [(rf"(?:leakage|flow) {PERCENT} on ", newest, "leakage_change")]
+    pairs += [(rf"(?:leakage|flow) {PERCENT} since then", row, "mean_change")]
+    for pattern, source, name in pairs:
+        found = re.search(pattern, sentence)
+        if found and (source is None or not _alike(found.groups(), source, name)):
+            return False
+    return not ("still rising" in sentence and (newest or row)["leakage_change_upper"] < 0.0)
+
+
+def limit_is_the_column(row: Row, _: Sequence[Row]) -> bool:
+    """The limit in words is that of the column; a night wholly beyond it says so."""
+    said = re.search(r"no change of more than (\d+) %", row["sentence"])
+    if said is None:
+        return True
+    limit = row["detection_limit_percent"]
+    lower, upper = row["leakage_change_lower"], row["leakage_change_upper"]
+    is_beyond = lower is not None and (lower > limit or upper < -limit)
+    is_said = int(said.group(1)) == max(math.ceil(limit), 1)
+    return is_said and (not is_beyond or "beyond that" in row["sentence"])
+
+
+def advice_fits(row: Row, _: Sequence[Row]) -> bool:
+    """What is ok asks for nothing but a sensor; what is raised asks for something."""
+    if row["state"] == "ok":
+        return row["advice"] in ("Nothing to do.", "Check the sensor whose zero has moved.")
+    return row["state"] not in CHANGED or row["advice"] not in ("", "Nothing to do.")
+
+
+def _alike(words: Sequence[str], row: Row, name: str) -> bool:
+    digits = [len(word.partition(".")[2]) for word in words]
+    values = [row[f"{name}_{part}"] for part in ("percent", "lower", "upper")]
+    return all(
+        abs(float(word) - value) <= 0.5001 * 10**-n
+        for word, value, n in zip(words, values, digits, strict=True)
+    )
+
+
+def of_fleet(rows: Sequence[Row]) -> Iterator[str]:
+    """Contradictions of all motors of a table."""
+    for motor in sorted({row["motor_id"] for row in rows}):
+        yield from contradictions([row for row in rows if row["motor_id"] == motor])
+
+
+RULES: tuple[Callable[[Row, Sequence[Row]], bool], ...] = (
+    ok_has_no_evidence,
+    back_is_back,
+    warning_excludes_zero,
+    detected_by_evidence,
+    dates_in_order,
+    alarm_is_beyond,
+    probabilities_sum,
+    no_sensor_beside_a_part,
+    odd_nights_are_odd,
+    words_are_the_columns,
+    limit_is_the_column,
+    advice_fits,
+)
