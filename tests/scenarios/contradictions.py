@@ -33,21 +33,24 @@ def _is_of_change(row: Row) -> bool:
     return is_raised and row["cause"] not in (*NOTICES, ODD) and "limit of" not in row["sentence"]
 
 
+def _is_beyond_limit(row: Row, name: str = "mean_change") -> bool:
+    """True if a change lies wholly beyond what would be detected."""
+    limit, lower = row["detection_limit_percent"], row[f"{name}_lower"]
+    if limit is None or lower is None:
+        return False
+    return bool(lower > limit or row[f"{name}_upper"] < -limit)
+
+
 def ok_has_no_evidence(row: Row, _: Sequence[Row]) -> bool:
     """Nothing is told: the evidence is not above its limit, and the mean not beyond detection."""
     if row["state"] != "ok" or row["cause"] in NOTICES:
         return True
-    mean, limit = row["mean_change_percent"], row["detection_limit_percent"]
-    is_clear = row["mean_change_lower"] > limit or row["mean_change_upper"] < -limit
-    return (row["evidence"] or 0.0) <= row["evidence_limit"] and not (is_clear and abs(mean) > limit)
+    return (row["evidence"] or 0.0) <= row["evidence_limit"] and not _is_beyond_limit(row)
 
 
 def back_is_back(row: Row, _: Sequence[Row]) -> bool:
     """What is back where it was is not beyond the detection limit."""
-    limit = row["detection_limit_percent"]
-    if row["cause"] != "back_as_before" or limit is None:
-        return True
-    return row["mean_change_lower"] < limit and row["mean_change_upper"] > -limit
+    return row["cause"] != "back_as_before" or not _is_beyond_limit(row)
 
 
 def warning_excludes_zero(row: Row, _: Sequence[Row]) -> bool:
@@ -137,9 +140,8 @@ def limit_is_the_column(row: Row, _: Sequence[Row]) -> bool:
     if said is None:
         return True
     limit = row["detection_limit_percent"]
-    lower, upper = row["leakage_change_lower"], row["leakage_change_upper"]
-    is_beyond = lower is not None and (lower > limit or upper < -limit)
     is_said = int(said.group(1)) == max(math.ceil(limit), 1)
+    is_beyond = _is_beyond_limit(row, "leakage_change")
     return is_said and (not is_beyond or "beyond that" in row["sentence"])
 
 

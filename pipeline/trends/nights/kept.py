@@ -26,7 +26,7 @@ from pipeline.trends.nights.history import RECORD, Records
 from pipeline.trends.nights.trend_record import trend_hash
 
 # Raise it when a watch is kept as other arrays.
-FORM = 3
+FORM = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -142,23 +142,25 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
     parts = parts_in(machine)
 
     def shown(names: Iterable[str]) -> frozenset[str]:
-        return frozenset(A_PART if is_disproved and one in parts else one for one in names)
+        return frozenset(A_PART if is_disproved and name in parts else name for name in names)
 
-    alike = shown(change.alike)
+    alike, cause, probability = shown(change.alike), change.cause, change.probability
+    is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
+    is_class = is_prior or cause == CANNOT_BE_TOLD or is_disproved
+    # A name that the nights tell from its like stands alone.
+    alike = alike if is_class else frozenset()
     of_class = ONE_OF.join(sorted(alike))
     candidates: dict[str, float] = {}
-    for name, probability in change.candidates.items():
+    for name, share in change.candidates.items():
         of_name = shown(parts_of(name, machine.gaps))
         label = of_class if of_name <= alike else A_PART if of_name == {A_PART} else name
-        candidates[label] = candidates.get(label, 0.0) + probability
+        candidates[label] = candidates.get(label, 0.0) + share
     if change.cause == TANK:
         rest = (1.0 - change.probability) / max(sum(candidates.values()), 1.0)
         candidates = {TANK: change.probability} | {a: rest * b for a, b in candidates.items()}
     candidates = {name: p for name, p in candidates.items() if p > LEAST_PROBABILITY}
     candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
-    cause, probability = change.cause, change.probability
-    is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
-    if cause not in NOT_OF_SHAPE and (is_prior or cause == CANNOT_BE_TOLD or is_disproved):
+    if cause not in NOT_OF_SHAPE and is_class:
         likeliest, share = next(iter(candidates.items()), (CANNOT_BE_TOLD, 0.0))
         if share >= NAMED and likeliest != SEVERAL:
             cause, probability = likeliest, share

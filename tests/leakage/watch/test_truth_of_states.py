@@ -17,6 +17,7 @@ from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
     PATHS,
+    Array,
     Plant,
     drives,
     earlier_of,
@@ -88,11 +89,30 @@ def test_no_change_in_force_contradicts_its_own_interval(seed: int) -> None:
     for plant in plants:
         for watch in watched(plant.nights(55, seed), first=FIRST):
             verdict = watch.verdict()
-            if verdict.change is not None and verdict.change.cause not in UNSIZED:
+            if verdict.change is None:
+                assert verdict.evidence <= verdict.limit
+            elif verdict.change.cause not in UNSIZED:
                 assert not verdict.present.holds_zero
 
 
 UNSIZED = ("odd_nights", "back_as_before", "temperature_effect")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("left", "is_back"), [(0.01, True), (0.15, False)])
+def test_what_a_repair_leaves_is_no_change_while_it_could_not_be_detected(
+    *, left: float, is_back: bool, seed: int
+) -> None:
+    """All gaps +30 %, then a repair that leaves 1 %, or 15 %, of them."""
+
+    def growth(night: int) -> Array | float:
+        return grown("all_gaps", 0.3 if night < 50 else left, BEGIN)(night)
+
+    watches = watched(Plant(growth=growth).nights(75, seed), first=FIRST)
+    changes = [watch.verdict().change for watch in watches[52 - FIRST + 1 :]]
+    causes = {None if change is None else change.cause for change in changes}
+    assert (causes <= {None, "back_as_before"}) == is_back
+    assert changes[0] is not None
 
 
 @pytest.mark.parametrize("seed", SEEDS)
