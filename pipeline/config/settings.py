@@ -71,6 +71,9 @@ class Cleaning(Section):
     """Time refused before a halt or back-flow."""
     guard_after_s: Seconds = 30.0
     """Time refused after a halt or back-flow."""
+    warm_up_minutes: NonNegative = 0.0
+    """Time refused after a start from a rest at least as long, while the oil in the case is not yet
+    the oil at the sensor; 0: none."""
     refuse_transients: bool = False
     """Refuse changes of speed above 5 rpm/s, or of pressure above 50 bar/s."""
 
@@ -87,17 +90,13 @@ class TransportDelay(Section):
     """Length of the drain line, whose volume over the drain flow is the delay."""
     line_inner_diameter_mm: Positive | None = None
     """Inner diameter of the drain line."""
-    leading: tuple[InputName, ...] = ()
-    """Inputs paired at t − τ with the drain flow."""
     lagging: tuple[InputName, ...] = ()
-    """Inputs paired at t + τ with it."""
+    """Inputs measured in the line, which are paired at t + τ with a drain flow that comes at once;
+    without any, all inputs are paired at t − τ."""
 
     def misfits(self) -> Iterator[Misfit]:
-        named = (*self.leading, *self.lagging)
-        if len(set(named)) < len(named):
-            yield (), "expected each input once among leading and lagging", None
-        if self.is_on != bool(named):
-            yield (), "expected a delay and an input in leading or lagging together", None
+        if self.lagging and not self.is_on:
+            yield self.at("lagging", "expected a delay beside")
         if (self.line_length_m is None) != (self.line_inner_diameter_mm is None):
             yield (), "expected line_length_m and line_inner_diameter_mm together", None
         if self.fixed_s is not None and self.line_length_m is not None:
@@ -114,8 +113,14 @@ class TransportDelay(Section):
         return self.fixed_s is None and self.line_length_m is None
 
     def of_all_inputs(self, delay_s: float) -> TransportDelay:
-        """All inputs leading the drain flow by the same time."""
-        return self.model_copy(update={"fixed_s": delay_s, "leading": get_args(InputName)})
+        """The same with a delay of the drain flow against all inputs."""
+        return self.model_copy(update={"fixed_s": delay_s})
+
+    @property
+    def steps(self) -> dict[str, int]:
+        """Sign of τ by input: + of one that lags the drain flow."""
+        inputs: tuple[str, ...] = self.lagging or get_args(InputName)
+        return dict.fromkeys(inputs, 1 if self.lagging else -1)
 
 
 class Smoothing(Section):

@@ -149,7 +149,7 @@ def bring_together(
         values, present, late, delay_s = delay_inputs(values, present, period / SECOND_US, delay)
         unpaired["transport_delay"] = late
     incomplete = ~reduce(np.logical_and, (present[name] for name in (*INPUTS, *low_pressures)))
-    together = Together(grid, period / SECOND_US, values, present)
+    together = Together(grid, period / SECOND_US, values, present, begin)
     masks = _halt_masks(channels, together, cleaning)
     judged = {reason: rule(together, cleaning) for reason, rule in JOINT_RULES.items()}
     masks |= {reason: mask for reason, mask in judged.items() if mask is not None} | unpaired
@@ -160,6 +160,8 @@ def bring_together(
     kept = np.flatnonzero(~refused)
     off = between_sessions(channels.values(), grid) & refused
     running = ~(off | masks["standstill"] | masks["guard"])
+    if (warm_up := masks.get("warm_up")) is not None:
+        running &= ~warm_up
     n_logged = int(np.count_nonzero(present["speed"]))
     n_turning = n_logged - int(np.count_nonzero(masks["standstill"]))
     del together
@@ -228,9 +230,8 @@ def _halt_masks(
     channels: Mapping[str, CleanChannel], together: Together, cleaning: Cleaning
 ) -> dict[str, Mask]:
     """Standstills, and the guard times around them and around a sensor at its maximum."""
-    grid, speed = together.grid_us, together.values["speed"]
-    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
-    standstill = together.present["speed"] & (speed < slowest) & (speed > -slowest)
+    grid = together.grid_us
+    standstill = together.present["speed"] & ~_is_turning(together, cleaning)
     begins, ends = stretches(standstill)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
@@ -249,6 +250,28 @@ class Together:
     # values, present: of each channel, shape (n,); only `present` ones count.
     values: Mapping[str, Values]
     present: Mapping[str, Mask]
+    n_before: int  # times between the night's start and the first
+
+
+def _is_turning(together: Together, cleaning: Cleaning) -> Mask:
+    """Times at which the motor is known to turn."""
+    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    turning: Mask = together.present["speed"] & (np.abs(together.values["speed"]) >= slowest)
+    return turning
+
+
+def _warm_up(together: Together, cleaning: Cleaning) -> Mask | None:
+    """The time after a start from a rest, of the motor or of the log, that is at least as long."""
+    length = round(60.0 * cleaning.warm_up_minutes / together.period_s)
+    if not length:
+        return None
+    begins, ends = stretches(_is_turning(together, cleaning))
+    rests = begins - np.concatenate([[-together.n_before], ends[:-1]])[: len(begins)]
+    is_cold = rests >= length
+    cold = np.zeros(len(together.grid_us), dtype=np.bool_)
+    for begin in begins[is_cold].tolist():
+        cold[begin : begin + length] = True
+    return cold
 
 
 def _transients(together: Together, cleaning: Cleaning) -> Mask | None:
@@ -263,4 +286,7 @@ def _transients(together: Together, cleaning: Cleaning) -> Mask | None:
 
 # Rules for all channels together, by their reason in `quality`. Each gives a mask of the times
 # that it refuses, or None where the settings have it off; `QUALITY_REASONS` has the words.
-JOINT_RULES: dict[str, Callable[[Together, Cleaning], Mask | None]] = {"transient": _transients}
+JOINT_RULES: dict[str, Callable[[Together, Cleaning], Mask | None]] = {
+    "warm_up": _warm_up,
+    "transient": _transients,
+}

@@ -2,8 +2,8 @@
 
 In a full line a change of flow arrives at the speed of sound and only the oil's temperature is
 carried along; the thesis delays the drain flow as a whole, and so do lines that are not full, and
-meters that average. So a delay of all inputs is estimated from the motor's first nights; where it
-is stated, each input is one that leads the drain flow, or is measured in the line and lags it.
+meters that average. So a delay of the flow is estimated from the motor's first nights; where it is
+stated, inputs may be named that are measured in the line and lag the flow.
 """
 
 from __future__ import annotations
@@ -95,12 +95,9 @@ def delay_inputs(
     """
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= MAXIMUM_DELAY_S)
-    leading: tuple[str, ...] = settings.leading
-    lagging: tuple[str, ...] = settings.lagging
-    direction = dict.fromkeys(leading, -1) | dict.fromkeys(lagging, 1)
     usable = np.where(refused, np.nan, tau)
     new_values, new_present = dict(values), dict(present)
-    for name, sign in direction.items():
+    for name, sign in settings.steps.items():
         new_values[name], new_present[name] = shifted(
             values[name], present[name], sign * usable / period_s
         )

@@ -9,6 +9,7 @@ import datetime as dt
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from statistics import mean, stdev
 from typing import Any
 
 from pipeline.errors import UsageError
@@ -20,6 +21,7 @@ from pipeline.schema import (
     LOG_FILES,
     NIGHTS,
     PARAMETERS,
+    PREDICTIONS,
     QUALITY,
     RESIDUAL_TESTS,
 )
@@ -31,10 +33,18 @@ Row = dict[str, Any]
 
 Paragraph = tuple[str, list[str]]  # a title and its lines; the headline has none
 # Tables that the words on a night are made from.
-EXPLAINED = (NIGHTS, FITS, PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS, QUALITY, LOG_FILES)
+EXPLAINED = (
+    *(NIGHTS, FITS, PARAMETERS, ERROR_BUDGET),
+    *(RESIDUAL_TESTS, PREDICTIONS, QUALITY, LOG_FILES),
+)
 # A rule that refused less than this is not worth a line.
 LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
+# A motor that rested so long starts cold, and is warm after as long; errors of the time between
+# differ from later ones by this share of the flow, and by their scatter over pieces.
+MINUTE = dt.timedelta(minutes=1)
+REST, PIECE = 30 * MINUTE, 10 * MINUTE
+COLD_SHARE, COLD_SCATTERS, FEWEST_PIECES = 0.03, 3.0, 3
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -71,9 +81,9 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
         return [one for one in found if one[1]]
     fits = rows["fits"]
     fit = next(row for row in fits if row["is_primary"])
-    parameters, effects, tests = (
+    parameters, effects, tests, predictions = (
         [row for row in rows[table.name] if row["flushing_mode"] == fit["flushing_mode"]]
-        for table in (PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS)
+        for table in (PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS, PREDICTIONS)
     )
     kept = (
         f"kept {own['kept_percent']:.0f} % of the running motor's samples; "
@@ -86,7 +96,7 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
         ("Paths", list(_verdicts(parameters))),
         ("Systematic errors", list(_budget(fit, effects))),
         ("Fit", list(_fit(own, fit, fits))),
-        ("Errors of the fit", list(explain_residuals(fit, tests))),
+        ("Errors of the fit", [*explain_residuals(fit, tests), *_warm_up(predictions)]),
         ("Data", [kept, *data]),
     ]
     return [one for one in found if one[1]]
@@ -257,6 +267,31 @@ def explain_residuals(fit: Row, tests: list[Row]) -> Iterator[str]:
         if rows:
             yield f"{part} errors: {_size(fit, part)}"
             yield f"{part} errors: {_tests(rows)}"
+
+
+def _warm_up(predictions: list[Row]) -> Iterator[str]:
+    """Yield that errors go with the time since the motor's last cold start, where they do."""
+    cold: list[float] = []
+    warm: dict[tuple[dt.datetime, int], list[float]] = {}
+    last = start = dt.datetime.min.replace(tzinfo=dt.UTC)
+    for row in sorted(predictions, key=lambda row: row["time"]):
+        if row["time"] - last >= REST:
+            start = row["time"]
+        last = row["time"]
+        error = row["measured_l_per_min"] - row["predicted_l_per_min"]
+        piece = start, (last - start) // PIECE
+        (cold if last - start < REST else warm.setdefault(piece, [])).append(error)
+    means = [mean(errors) for errors in warm.values()]
+    if not cold or len(means) < FEWEST_PIECES:
+        return
+    flow = mean(row["measured_l_per_min"] for row in predictions)
+    apart = mean(cold) - mean(means)
+    if abs(apart) > max(COLD_SHARE * flow, COLD_SCATTERS * stdev(means)):
+        yield (
+            f"errors go with the time since the start: {100 * apart / flow:+.0f} % of the flow in "
+            f"the first {REST // MINUTE} minutes against later; cleaning.warm_up_minutes leaves "
+            "out the minutes in which the oil in the case is not yet the oil at the sensor"
+        )
 
 
 def _size(fit: Row, part: str) -> str:

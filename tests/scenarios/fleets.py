@@ -81,6 +81,8 @@ class Simulated:
     misread: Mapping[str, tuple[int, float, float]] = field(default_factory=dict)
     # Rows by which the drain flow is logged late from a night on: (first night, rows).
     late_flow: tuple[int, int] | None = None
+    # Share of the drain flow that is missing at the start, and goes within minutes: cold oil.
+    cold_share: float = 0.0
     # Another oil than the config says from a night on: (first night, name).
     unstated_oil: tuple[int, str] | None = None
     lines: str = ""  # further lines of its file: [[events]], [flushing], …
@@ -337,6 +339,10 @@ def _misread(recording: Recording, motor: Simulated, number: int) -> Recording:
     for channel, (first, factor, offset) in motor.misread.items():
         if number >= first:
             values[channel] = np.round(values[channel] * factor + offset, 6)
+    if motor.cold_share:
+        minutes = (recording.time_us - recording.time_us[0]) / 60e6
+        cold = 1.0 - motor.cold_share * np.exp(-minutes / 12.0)
+        values["leakage_flow"] = np.round(values["leakage_flow"] * cold, 6)
     if motor.late_flow and number >= motor.late_flow[0]:
         values["leakage_flow"] = np.roll(values["leakage_flow"], motor.late_flow[1])
     return replace(recording, values=values)

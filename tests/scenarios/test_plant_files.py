@@ -24,6 +24,7 @@ from tests.pipeline.ingest.mcap_files import JSON, mcap_bytes
 from tests.pipeline.simulated import Operation, operate
 from tests.scenarios.command import Result, run_command
 from tests.scenarios.covering import covers
+from tests.scenarios.fleets import Simulated, make_fleet
 from tests.scenarios.published import table
 
 FIRST = dt.date(2026, 1, 2)
@@ -790,3 +791,24 @@ def test_a_speed_in_radians_is_no_wear(tmp_path: Path) -> None:
     nights = nights_of(tmp_path)
     assert nights["status"].to_list() == [*["ok"] * 4, "failed", "failed"]
     assert "the log is now in rad/s" in nights["reason"][-1]
+
+
+# Cold oil
+
+
+@covers("explain")
+def test_a_warm_up_is_seen_and_left_out_on_demand(tmp_path: Path) -> None:
+    motors = Simulated("cold", cold_share=0.5), Simulated("warm")
+    fleet = make_fleet(tmp_path, *motors, minutes=90.0, nights=2).fitted()
+    words = "errors go with the time since the start: -"
+    assert words in fleet.run("explain", "cold", fleet.label(2)).out
+    assert words not in fleet.run("explain", "warm", fleet.label(2)).out
+    before = [row["training_fit_percent"] for row in fleet.nights("cold")]
+    fleet.append("motors/cold.toml", "[override.cleaning]\nwarm_up_minutes = 40")
+    assert fleet.run("fit-fleet").code == 0
+    after = [row["training_fit_percent"] for row in fleet.nights("cold")]
+    assert min(new - old for new, old in zip(after, before, strict=True)) > 5
+    assert words not in fleet.run("explain", "cold", fleet.label(2)).out
+    refused = fleet.table("quality").filter(reason="warm_up")
+    assert set(refused["motor_id"]) == {"cold"}
+    assert refused["n_refused"].to_list() == pytest.approx([2400] * 2, abs=150)

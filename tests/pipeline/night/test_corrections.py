@@ -42,7 +42,7 @@ def test_worked_value_of_the_line_s_volume() -> None:
 
 def test_flow_is_averaged_so_that_a_pulse_meter_has_a_delay() -> None:
     flow = np.tile([0.0, 0.6], 300)
-    settings = TransportDelay(leading=("speed",), **LINE)
+    settings = TransportDelay(**LINE)
     tau = delay_on_grid_s(flow, np.ones(600, np.bool_), 0.1, settings)
     np.testing.assert_allclose(tau, drain_line_delay_s(np.array([0.3]), 2.0, 12.0)[0], rtol=0.03)
 
@@ -70,7 +70,7 @@ def test_above_its_limit_or_without_flow_a_sample_is_refused() -> None:
     values = {"speed": np.arange(5.0), "leakage_flow": flow}
     present = {"speed": np.ones(5, np.bool_), "leakage_flow": np.isfinite(flow)}
     # At 0.5 l/min half the length is a delay of 14 s: a tenth of that flow is beyond the limit.
-    settings = TransportDelay(leading=("speed",), **LINE)
+    settings = TransportDelay(lagging=("speed",), **LINE)
     _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
     assert refused.tolist() == [False, False, True, True, True]
     assert not there["speed"][refused].any()
@@ -115,13 +115,11 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
 @pytest.mark.parametrize(
     "keys",
     [
-        "fixed_s = 1.0",
-        'leading = ["speed"]\nline_length_m = 1.0',
-        'leading = ["speed"]',
-        'leading = ["speed"]\nlagging = ["speed"]',
-        'fixed_s = 61.0\nleading = ["speed"]',
-        'fixed_s = 1.0\nline_length_m = 1.0\nline_inner_diameter_mm = 9.0\nleading = ["speed"]',
-        'leading = ["leakage_flow"]',
+        "line_length_m = 1.0",
+        'lagging = ["speed"]',
+        "fixed_s = 61.0",
+        "fixed_s = 1.0\nline_length_m = 1.0\nline_inner_diameter_mm = 9.0",
+        'fixed_s = 1.0\nlagging = ["leakage_flow"]',
     ],
 )
 def test_what_does_not_go_together_is_a_fault(tmp_path: Path, keys: str) -> None:

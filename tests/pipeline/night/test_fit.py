@@ -305,6 +305,7 @@ COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'
 ALL_RULES = """
 [override.cleaning]
 refuse_transients = true
+warm_up_minutes = 1.0
 [override.transport_delay]
 fixed_s = 2.0
 lagging = ["oil_temperature"]
