@@ -11,7 +11,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 
 from tests.pipeline.report.browser import opened
 
-PAGES = {"fleet.png": "index.html", "motor.png": "motors/CB400-02.html"}
+PAGES = {"fleet.png": "index.html", "motor.png": "motors/CB560-02.html"}
 SIZE = {"width": 1280, "height": 900, "deviceScaleFactor": 1, "mobile": False}
 
 

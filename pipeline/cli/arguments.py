@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -131,14 +131,17 @@ def tell(event: Mapping[str, Any], words: str, *, as_json: bool, err: bool = Fal
 
 def print_table(
     columns: Sequence[str],
-    rows: Iterable[Sequence[str]],
+    rows: Sequence[Sequence[str]],
     title: str = "",
     styles: Sequence[str] = (),
+    *,
+    is_dense: bool = False,
 ) -> None:
     """Print rows below their columns, as wide as the terminal is; `styles` has one a row or none.
 
-    Piped, cells are separated by tabs and the title is left out; a cell that would break a line or
-    a column is escaped.
+    Dense, a row is a line, which is cut where the terminal ends, and there is no title. Piped,
+    cells are separated by tabs and the title is left out; a cell that would break a line or a
+    column is escaped.
     """
     if not sys.stdout.isatty():
         for cells in (columns, *rows):
@@ -148,7 +151,17 @@ def print_table(
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
+    if is_dense:
+        lines = [list(map(one_line, cells)) for cells in (columns, *rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        for row, look in zip(lines, ["bold", *styles], strict=True):
+            padded = map(str.ljust, row, widths)
+            Console().print(
+                Text("  ".join(padded).rstrip(), look), no_wrap=True, overflow="ellipsis"
+            )
+        return
     table = Table(title=escape(one_line(title)) or None, title_justify="left", box=box.SIMPLE_HEAD)
     for name in columns:
         table.add_column(name, overflow="fold")

@@ -126,7 +126,7 @@ def _print_check(one: MotorCheck) -> None:
         f"{counted(one.n_nights, 'night')}{span}, {counted(len(one.faults), 'fault')}"
     )
     if one.channels:
-        print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
+        print_table(CHANNEL_COLUMNS, list(map(_channel_cells, one.channels)))
     refused = Counter(f"{night.status}: {night.reason}" for night in one.forecast if night.reason)
     if one.forecast:
         n_fitted = sum(night.status == "ok" for night in one.forecast)

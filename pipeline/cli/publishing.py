@@ -69,7 +69,7 @@ def report(
 
     fleet = load(config, output, None, logs=False)
     folder = to or fleet.output / "report"
-    result = build_report(fleet, folder, nights=nights, made=now())
+    result = build_report(fleet, folder, nights=nights, made=now(), config=str(config))
     typer.echo(
         f"{counted(result.n_motors, 'motor')}, {counted(result.n_nights, 'night')} updated, "
         f"{counted(result.n_written, 'file')} written, {result.n_removed} removed; "

@@ -44,9 +44,8 @@ COLOURS = {
     "stale": "blue",
     "removed": "blue",
 }
-COLUMNS = ("motor", "state", "newest night", "leakage l/min", "since", "last good night", "what")
-# On a terminal the last column needs the room, and has these in words.
-IN_WORDS = {"since", "newest night"}
+COLUMNS = ("motor", "state", "l/min", "change", "since", "order")
+LONG_COLUMNS = (*COLUMNS, "last good night", "what")
 
 
 def status(
@@ -56,9 +55,12 @@ def status(
         dt.timedelta | None,
         typer.Option(parser=duration, help="End with 1 if the last good run is older, as 26h."),
     ] = None,
+    is_long: Annotated[
+        bool, typer.Option("--long", help="With the last good night, and the state in words.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the state of each motor, the one that needs attention most first.
+    """Print the state of each motor in a line, the one that needs attention most first.
 
     Example: motor-leakage status configs/fleet.toml --max-age 26h
 
@@ -76,29 +78,22 @@ def status(
     too_old = max_age is not None and (ended is None or now() - ended > max_age)
     newest = found.newest_sample
     is_silent = fleet.is_live and newest is not None and now() - newest > fleet.stale_after
-    print_status(fleet.name, found, too_old=too_old, is_silent=is_silent, as_json=as_json)
+    if as_json:
+        _print_json(found, too_old=too_old, is_silent=is_silent)
+    else:
+        _print_motors(found.motors, fleet.name, is_long=is_long)
+        for line in _fleet_lines(found, too_old=too_old, is_silent=is_silent):
+            say(line, err=not sys.stdout.isatty())
     is_late = too_old or (max_age is not None and is_silent)
     raise typer.Exit(EXIT_MOTORS_FAILED if is_late else EXIT_OK)
 
 
-def print_status(
-    name: str, found: FleetStatus, *, too_old: bool, is_silent: bool, as_json: bool
-) -> None:
-    """Print a fleet's state: for people, or one JSON object a motor and one for the fleet.
-
-    `too_old`: the last good run is older than was asked for; `is_silent`: so are all samples.
-    Piped, only the table goes to stdout.
-    """
-    if as_json:
-        _print_json(found, too_old=too_old, is_silent=is_silent)
-        return
-    on_terminal = sys.stdout.isatty()
-    columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
-    rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
-    styles = [COLOURS.get(motor.state, "") for motor in found.motors]
-    print_table(columns, ([row[column] for column in columns] for row in rows), name, styles)
-    for line in _fleet_lines(found, too_old=too_old, is_silent=is_silent):
-        say(line, err=not on_terminal)
+def _print_motors(motors: Sequence[MotorState], name: str, *, is_long: bool) -> None:
+    """Print the motors: for people, a line each."""
+    columns = LONG_COLUMNS if is_long else COLUMNS
+    rows = [_cells(motor)[: len(columns)] for motor in motors]
+    styles = [COLOURS.get(motor.state, "") for motor in motors]
+    print_table(columns, rows, name if is_long else "", styles, is_dense=not is_long)
 
 
 def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
@@ -163,23 +158,21 @@ def _run_line(found: FleetStatus) -> str | None:
 
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
-    """Cells of `COLUMNS`."""
-    from pipeline.trends.sentences import in_percent
+    """Cells of `LONG_COLUMNS`."""
+    from pipeline.report.words import figure
 
-    row, newest, leakage = motor.row, "unknown", "unknown"
-    change = [row[f"leakage_change_{end}"] for end in ("percent", "lower", "upper")]
-    if None not in change:
-        newest = in_percent(1, *change)
-    if row["own_leakage_l_per_min"] is not None:
-        leakage = f"{row['own_leakage_l_per_min']:.3g}"
+    row = motor.row
+    leakage = row["own_leakage_l_per_min"]
+    rise = f"{motor.intraday.words}. " if motor.intraday and motor.is_sudden else ""
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
-        newest,
-        leakage,
-        str(row["onset"] or ""),
+        "unknown" if leakage is None else figure(leakage),
+        motor.change or "unknown",
+        motor.since,
+        f"{rise}{motor.advice}",
         str(row["last_fit_night"] or "never"),
-        f"{motor.why}. {motor.advice}" if motor.needs_attention else motor.why,
+        motor.why,
     )
 
 

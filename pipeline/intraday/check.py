@@ -241,7 +241,7 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
 
 
 def _in_words(change: Estimate) -> str:
-    return in_percent(0, *(100.0 * end for end in (change.value, change.lower, change.upper)))
+    return in_percent(*(100.0 * end for end in (change.value, change.lower, change.upper)))
 
 
 def _run_id(spec: MotorSpec) -> str:

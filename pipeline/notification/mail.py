@@ -104,8 +104,8 @@ def _summary(motors: Sequence[Row]) -> tuple[str, list[Paragraph]]:
     subject = ", ".join(f"{n} {plain(state)}" for state, n in counts.items())
     paragraphs = []
     for row in motors:
-        said = [row["sentence"], row.get("advice", "")]
-        lines = [f"{row['motor_id']}: {plain(row['state'])}", *map(as_sentence, filter(None, said))]
+        order = f"{as_sentence(row['headline'])} {row['advice']}"
+        lines = [f"{row['motor_id']}: {plain(row['state'])}", order, as_sentence(row["sentence"])]
         paragraphs.append((row["motor_id"], lines))
     return f"week: {subject}", paragraphs
 

@@ -23,7 +23,7 @@ from pipeline.notification.outbox import backlogs
 from pipeline.notification.receivers import receivers_of
 from pipeline.report.charts import night_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
-from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
+from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span, overlay
 from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
@@ -39,7 +39,8 @@ from pipeline.store.atomic_files import (
 from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.trends.nights.decisions import read_decisions
 from pipeline.trends.rows.alarm_rows import what_of
-from pipeline.trends.rows.motor_states import ORDER
+from pipeline.trends.rows.motor_states import ORDER, MotorState
+from pipeline.trends.sentences import change_of, part_of
 
 MANIFEST = "manifest.json"
 CHART_LIBRARY = "assets/plotly.min.js"
@@ -62,48 +63,57 @@ class ReportResult:
 class Folder:
     """The report's folder: a file is written when its content has changed, and ours alone go."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.files: set[str] = set()  # that the report has now
+    def __init__(self, path: Path, program: str) -> None:
+        self.path, self.program = path, program
+        # Files that the report has now with a digest of what they are made from, and those of the
+        # last report; the same of the table files of a month.
+        self.files: dict[str, str] = {}
+        self.before: dict[str, str] = {}
+        self.months: dict[str, str] = {}
+        self.months_before: dict[str, str] = {}
         self.written: list[Path] = []
-        # What the last report left: hash of the program, states of the nights, names of the files.
-        self.program = ""
-        self.nights: dict[str, str] = {}
-        self.before: set[str] = set()
         manifest = path / MANIFEST
         if manifest.exists():
             # Without a sound one all files are made anew, over the present ones.
             with suppress(OSError, ValueError, KeyError, TypeError):
                 last = json.loads(manifest.read_bytes())
-                found = str(last["program"]), dict(last["nights"]), set(last["files"])
-                self.program, self.nights, self.before = found
+                files, months = dict(last["files"]), dict(last["months"])
+                is_same = last["program"] == program
+                self.before = files if is_same else dict.fromkeys(files, "")
+                self.months_before = months if is_same else {}
             return
         if path.exists() and not path.is_dir():
             raise StoreError("report_folder", f"{path} is no folder; name another")
-        for one in sorted(path.iterdir()) if path.exists() else ():
-            if not one.name.startswith(TEMPORARY_PREFIX):
-                said = f"{path} holds {one.name} and no report; name an empty or new folder"
-                raise StoreError("report_folder", said)
+        for entry in sorted(path.iterdir()) if path.exists() else ():
+            if not entry.name.startswith(TEMPORARY_PREFIX):
+                message = f"{path} holds {entry.name} and no report; name an empty or new folder"
+                raise StoreError("report_folder", message)
         put(manifest, b"{}")
 
-    def write(self, name: str, content: bytes) -> None:
+    def write(self, name: str, content: bytes, digest: str = "") -> None:
         """Write a file unless it is there with that content."""
-        self.files.add(name)
+        self.files[name] = digest
         path = self.path / name
         if not (path.exists() and path.read_bytes() == content):
             put(path, content, durable=False)
             self.written.append(path)
 
-    def keep(self, names: Iterable[str]) -> bool:
-        """Keep files of the last report as they are; False if one is gone."""
-        wanted = set(names)
-        is_there = wanted <= self.before and all((self.path / one).is_file() for one in wanted)
-        self.files |= wanted if is_there else set()
-        return is_there
+    def keep(self, name: str, digest: str = "") -> bool:
+        """Leave a file of the last report as it is; False if it is gone or made from other data."""
+        known = self.before.get(name)
+        if not known or (digest and known != digest) or not (self.path / name).is_file():
+            return False
+        self.files[name] = known
+        return True
 
-    def close(self, program: str, nights: Mapping[str, str]) -> int:
+    def keep_month(self, month: str, digest: str, names: Iterable[str]) -> bool:
+        """Leave the files of a month; False if its tables have changed, or one must be made."""
+        self.months[month] = digest
+        return self.months_before.get(month) == digest and all(map(self.keep, names))
+
+    def close(self) -> int:
         """Remove files that the report has no more, and remember the others; how many went."""
-        gone = sorted(self.before - self.files)
+        gone = sorted(self.before.keys() - self.files)
         for name in gone:
             path = self.path / name
             # Nothing outside the report is removed, whatever the manifest lists.
@@ -115,7 +125,7 @@ class Folder:
             # At the end: what the first ones wait for is true of the later ones as well.
             for path in (*self.written, *{one.parent for one in self.written}):
                 flush_path(path)
-        manifest = {"program": program, "nights": nights, "files": sorted(self.files)}
+        manifest = {"program": self.program, "files": self.files, "months": self.months}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
         if (self.path / MANIFEST).read_bytes() != content:
             put(self.path / MANIFEST, content)
@@ -123,12 +133,17 @@ class Folder:
 
 
 def build_report(
-    fleet: Fleet, folder: Path, *, nights: int | None = None, made: dt.datetime | None = None
+    fleet: Fleet,
+    folder: Path,
+    *,
+    nights: int | None = None,
+    made: dt.datetime | None = None,
+    config: str = "CONFIG",
 ) -> ReportResult:
     """Write the report of a fleet's motors to a folder, or of a present one what has changed.
 
     `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
-    which the fleet's page tells; None: it tells none.
+    which the fleet's page shows; None: it shows none. `config`: the fleet file in commands.
 
     Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
     or the folder cannot be written or holds something else.
@@ -139,19 +154,19 @@ def build_report(
             f"{fleet.output} holds no table of nights; run fit-fleet first; if it found no log, "
             "run check",
         )
-    report = Folder(folder)
+    report = Folder(folder, _program_hash())
     remove_leftovers([folder])
-    program = _program_hash()
-    states, n_nights = _make_nights(fleet, report, nights, program)
-    _make_pages(fleet, made, report, program)
-    n_removed = report.close(program, states)
-    return ReportResult(len(fleet.motors), n_nights, len(report.written), n_removed)
+    states = current_states(fleet.output, [spec.motor_id for spec in fleet.motors])
+    n_nights = _make_nights(fleet.output, [state.motor_id for state in states], report, nights)
+    _make_pages(fleet, states, made, report, config)
+    return ReportResult(len(states), n_nights, len(report.written), report.close())
 
 
-def _motors_by_night(fleet: Fleet, newest: int | None) -> dict[dt.date, list[str]]:
+def _motors_by_night(
+    output: Path, ids: Sequence[str], newest: int | None
+) -> dict[dt.date, list[str]]:
     """Motors that have a row, by night in time order; of the newest nights, or of all."""
-    ids = [spec.motor_id for spec in fleet.motors]
-    shown = read_rows(fleet.output, NIGHTS, ids, ("motor_id", "night"))
+    shown = read_rows(output, NIGHTS, ids, ("motor_id", "night"))
     groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
     return dict((groups if newest is None else groups.tail(newest)).iter_rows())
 
@@ -161,43 +176,65 @@ def night_file_name(motor_id: str, night: dt.date) -> str:
     return f"data/{motor_id}/{night}.js"
 
 
-def _make_nights(
-    fleet: Fleet, folder: Folder, newest: int | None, program: str
-) -> tuple[dict[str, str], int]:
-    """Make the files of nights that are new or changed; states of the nights, and how many."""
-    output, ids = fleet.output, [spec.motor_id for spec in fleet.motors]
-    nights = _motors_by_night(fleet, newest)
-    states: dict[str, str] = {}
+def _make_nights(output: Path, ids: Sequence[str], folder: Folder, newest: int | None) -> int:
+    """Make the files of motors' nights that are new or changed; of how many nights."""
+    nights = _motors_by_night(output, ids, newest)
     n_made = 0
     for month in sorted({night.replace(day=1) for night in nights}):
         labels = [night for night in nights if night.replace(day=1) == month]
+        names = [night_file_name(motor, night) for night in labels for motor in nights[night]]
+        if folder.keep_month(f"{month:%Y-%m}", _stamps(output, labels), names):
+            continue
         of_month = {
             table.name: finite_rows(output, table, ids, labels).partition_by("night", as_dict=True)
             for table in EXPLAINED
         }
         for night in labels:
             rows = {name: of[(night,)] for name, of in of_month.items() if (night,) in of}
-            state = _state_of(rows, files_of(output, PREDICTIONS, [night]))
-            states[str(night)] = state
-            files = [night_file_name(motor_id, night) for motor_id in nights[night]]
-            is_current = (folder.program, folder.nights.get(str(night))) == (program, state)
-            if is_current and folder.keep(files):
-                continue
-            n_made += 1
-            rows["predictions"] = finite_rows(output, PREDICTIONS, ids, [night])
-            own = {name: by_motor(of) for name, of in rows.items()}
-            for motor_id, file in zip(nights[night], files, strict=True):
-                of_motor = {name: of[motor_id] for name, of in own.items() if motor_id in of}
-                payload = night_payload(night, of_motor)
-                folder.write(file, f"motorLeakage.night({script_json(payload)});\n".encode())
-    return states, n_made
+            n_made += _make_night(output, night, nights[night], rows, folder)
+    return n_made
 
 
-def _state_of(rows: Mapping[str, pl.DataFrame], samples: Iterable[Path]) -> str:
-    """What a night is made from: its rows, and the files of its samples."""
-    sums = [(name, int(of.hash_rows().sum())) for name, of in rows.items()]
-    stamps = [(sample.stat().st_size, sample.stat().st_mtime_ns) for sample in samples]
-    return hashlib.sha256(f"{sums} {stamps}".encode()).hexdigest()[:16]
+def _make_night(
+    output: Path,
+    night: dt.date,
+    motor_ids: Sequence[str],
+    rows: Mapping[str, pl.DataFrame],
+    folder: Folder,
+) -> bool:
+    """Make the files of motors in a night that are new or changed; true if any is."""
+    own = {name: by_motor(of) for name, of in rows.items()}
+    of_motors = {
+        motor: {name: of[motor] for name, of in own.items() if motor in of} for motor in motor_ids
+    }
+    digests = {motor: _digest_of(of) for motor, of in of_motors.items()}
+    changed = [
+        motor
+        for motor, digest in digests.items()
+        if not folder.keep(night_file_name(motor, night), digest)
+    ]
+    samples = by_motor(finite_rows(output, PREDICTIONS, changed, [night]))
+    for motor in changed:
+        predictions = {"predictions": samples[motor]} if motor in samples else {}
+        payload = night_payload(night, of_motors[motor] | predictions)
+        content = f"motorLeakage.night({script_json(payload)});\n".encode()
+        folder.write(night_file_name(motor, night), content, digests[motor])
+    return bool(changed)
+
+
+def _stamps(output: Path, nights: Sequence[dt.date]) -> str:
+    """Return a digest of the states of the table files of some nights."""
+    paths = [path for table in EXPLAINED for path in files_of(output, table, nights)]
+    return _digest((path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths)
+
+
+def _digest_of(rows: Mapping[str, pl.DataFrame]) -> str:
+    """Return a digest of rows by table; the run in them stands for what else it wrote."""
+    return _digest((name, int(of.hash_rows().sum())) for name, of in rows.items())
+
+
+def _digest(parts: Iterable[object]) -> str:
+    return hashlib.sha256(repr(list(parts)).encode()).hexdigest()[:16]
 
 
 def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
@@ -210,57 +247,88 @@ def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str,
     return {"night": str(night), "words": paragraphs(listed), "figure": chart}
 
 
-def _make_pages(fleet: Fleet, made: dt.datetime | None, folder: Folder, program: str) -> None:
+def _make_pages(
+    fleet: Fleet,
+    states: Sequence[MotorState],
+    made: dt.datetime | None,
+    folder: Folder,
+    config: str,
+) -> None:
     """Make the fleet's page, the motors' pages, and what they share."""
-    ids = [spec.motor_id for spec in fleet.motors]
-    motors = dict(zip(ids, motor_histories(fleet.output, ids), strict=True))
-    states = {state.motor_id: state for state in current_states(fleet.output, ids)}
+    ids = [state.motor_id for state in states]
+    motors = motor_histories(fleet.output, ids)
     specs = {spec.motor_id: spec for spec in fleet.motors}
-    rows = fleet_rows(list(motors.values()), specs, states)
-    by_id = {row.state.motor_id: row for row in rows}
-    alarms = by_motor(read_rows(fleet.output, ALARMS, ids))
-    decisions = read_decisions(fleet.output)
-    found = Counter(row.state.state for row in rows)
-    first, newest = fleet_span(list(motors.values())) or (None, None)
+    rows = fleet_rows(motors, specs, states, fleet.settings.reference)
+    counts = Counter(state.state for state in states)
+    first, newest = fleet_span(motors) or (None, None)
     waiting = backlogs(fleet.output, receivers_of(fleet.settings.alarms))
     facts = {
         "name": fleet.name,
+        "config": config,
+        "zone": fleet.settings.nights.zone,
+        "old_after_nights": fleet.settings.alarms.stale_after_nights,
+    }
+    _make_motor_pages(fleet.output, motors, rows, specs, facts, folder)
+    curves = script_json(overlay(fleet, motors))
+    folder.write("curves.js", f"motorLeakageFleet({curves});\n".encode())
+    facts |= {
         "first": first,
         "newest": newest,
         "made": made,
-        "zone": fleet.settings.nights.zone,
-        "old_after_nights": fleet.settings.alarms.stale_after_nights,
-        "undelivered": [one.words for one in waiting if one.undelivered],
+        "undelivered": [backlog.words for backlog in waiting if backlog.undelivered],
     }
-    for spec in fleet.motors:
-        motor_id = spec.motor_id
-        changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
-        values = _motor_values(spec, motors[motor_id], by_id[motor_id], changes)
-        said = [decision for decision in decisions if decision.motor_id == motor_id]
-        page = page_of("motor.html", facts=facts, decisions=said, **values)
-        folder.write(f"motors/{motor_id}.html", page.encode())
-    counts = [(code, found[code]) for code in ORDER if found[code]]
-    index = page_of("fleet.html", facts=facts, rows=rows, counts=counts)
+    shown = [(code, counts[code]) for code in ORDER if counts[code]]
+    index = page_of("fleet.html", facts=facts, rows=rows, counts=shown)
     folder.write("index.html", index.encode())
     folder.write("glossary.html", page_of("glossary.html", facts=facts).encode())
     for asset in (FOLDER / "assets").iterdir():
         folder.write(f"assets/{asset.name}", asset.read_bytes())
     # One copy for all pages; it is read only where it has to be written.
-    if folder.program != program or not folder.keep([CHART_LIBRARY]):
+    if not folder.keep(CHART_LIBRARY):
         from plotly.offline import get_plotlyjs
 
-        folder.write(CHART_LIBRARY, get_plotlyjs().encode())
+        folder.write(CHART_LIBRARY, get_plotlyjs().encode(), folder.program)
+
+
+def _make_motor_pages(
+    output: Path,
+    motors: Sequence[MotorHistory],
+    rows: Sequence[FleetRow],
+    specs: Mapping[str, MotorSpec],
+    facts: Mapping[str, Any],
+    folder: Folder,
+) -> None:
+    """Make the pages of motors of which something has changed."""
+    by_id = {row.state.motor_id: row for row in rows}
+    alarms = by_motor(read_rows(output, ALARMS, list(by_id)))
+    decisions = read_decisions(output)
+    for motor in motors:
+        motor_id = motor.motor_id
+        spec, row = specs.get(motor_id), by_id[motor_id]
+        changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
+        own = [decision for decision in decisions if decision.motor_id == motor_id]
+        tables = {"nights": motor.rows, **motor.trends}
+        # What the page says nothing of leaves it as it is.
+        state = {name: of for name, of in row.state.row.items() if name != "data_age_nights"}
+        parts = (state, row.state.intraday, row.reference, changes, own, facts)
+        stated = (spec.motor_type, spec.file) if spec else ()
+        digest = _digest([_digest_of(tables), parts, stated])
+        if not folder.keep(name := f"motors/{motor_id}.html", digest):
+            values = _motor_values(spec, motor, row, changes)
+            page = page_of("motor.html", facts=facts, decisions=own, **values)
+            folder.write(name, page.encode(), digest)
 
 
 def _motor_values(
-    spec: MotorSpec,
+    spec: MotorSpec | None,
     motor: MotorHistory,
     row: FleetRow,
     changes: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """What the template of a motor's page names, besides facts and decisions."""
-    paths = [path.name for path in spec.motor_type.paths()]
-    course = watch_chart(motor, paths, spec.file.events, changes)
+    paths = spec.motor_type.paths() if spec else ()
+    events = spec.file.events if spec else ()
+    course = watch_chart(motor, [path.name for path in paths], events, changes)
     payload = {
         "file": motor.motor_id,
         "nights": [str(night) for night in motor.nights],
@@ -271,7 +339,7 @@ def _motor_values(
         "row": row,
         "last": motor.rows.row(-1, named=True) if motor.nights else None,
         "marks": course.marks,
-        "parts": [(path.name, isinstance(path, AnnularGap)) for path in spec.motor_type.paths()],
+        "parts": [(path.name, isinstance(path, AnnularGap)) for path in paths],
         "payload": script_json(payload),
         "changes": changes,
     }
@@ -280,7 +348,14 @@ def _motor_values(
 def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
     """A motor's newest rows of `alarms`, the newest first."""
     rows = alarms.sort("night", "id", descending=[True, False]).head(SHOWN_CHANGES)
-    return [row | {"indicator": what_of(row)} for row in rows.to_dicts()]
+    return [row | {"indicator": what_of(row), "summary": _summary(row)} for row in rows.to_dicts()]
+
+
+def _summary(change: Mapping[str, Any]) -> str:
+    """A change of state in a few words: its size and part, else how its sentence begins."""
+    part = f", {part_of(change['cause'])}" if change["cause"] else ""
+    size = change_of(change)
+    return f"{size}{part}" if size else change["sentence"].partition(";")[0]
 
 
 def _program_hash() -> str:

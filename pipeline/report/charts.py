@@ -22,18 +22,18 @@ from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory
 from pipeline.trends.nights.decisions import LEAKAGE
 from pipeline.trends.rows.alarm_rows import what_of
-from pipeline.trends.sentences import cause_words
+from pipeline.trends.sentences import DATED, cause_words
 
 Times = NDArray[np.datetime64]
 Row = Mapping[str, Any]
 
 BLUE, VERMILION, ORANGE = COLOURS[0], COLOURS[1], COLOURS[4]
+# Share of the present trend's days to the alarm level that is shown beyond its earliest date.
+BEYOND = 1.05
 GREY: Final = "#8a949e"
 GAP = "gap_change_"
 # The axis of the evidence ends that far beyond its limit: more would hide how it came there.
 SHOWN_EVIDENCE = 2.5
-# Half the height of an axis at least, as a share of the middle value: noise looks like noise.
-LEAST_REACH = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,17 @@ class Line:
     # dash, symbol: names of Plotly; empty: no marks.
     dash: str = "solid"
     symbol: str = ""
+    is_band: bool = False  # its interval is a band, not a bar at each night
+    time: Times | None = None  # of its own, as beyond the last night; None: those of the chart
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A shaded area, by its corners."""
+
+    time: Times
+    value: Array
+    colour: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +71,8 @@ class Panel:
     lines: tuple[Line, ...]
     ends: tuple[float, float] | None = None  # of its axis; None: as the lines need
     height: int = 170  # pixels
+    areas: tuple[Area, ...] = ()
+    right: float | None = None  # l/min at 0 %, for an axis on the right; None: there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +91,8 @@ class Chart:
     time: Times
     panels: tuple[Panel, ...]
     shaded: tuple[tuple[dt.date, dt.date], ...] = ()  # first and last night of each baseline
-    marks: tuple[Mark, ...] = ()  # in order of time; numbered from 1
+    marks: tuple[Mark, ...] = ()  # in order of time
+    ahead: float = 0.0  # days that are shown beyond the last night
 
 
 def watch_chart(
@@ -92,13 +106,16 @@ def watch_chart(
     `declared` are the motor's leakage paths, `events` its dated events, `changes` its rows of
     `alarms`.
     """
-    panels = (_leakage_panel(motor), _evidence_panel(motor), _gap_panel(motor, declared))
+    projection = Projection.of(motor)
+    leakage = _leakage_panel(motor, projection)
+    panels = (leakage, _evidence_panel(motor), _gap_panel(motor, declared))
     marks = [*_events(events), *_detected(motor, changes)]
     return Chart(
         motor.stamps,
         _shown(panels),
         tuple(motor.baselines),
         tuple(sorted(marks, key=lambda mark: mark.night)),
+        projection.ahead if projection else 0.0,
     )
 
 
@@ -141,18 +158,108 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
     return Panel("Change of the gap, night by night", "%", lines, ends, 150)
 
 
-def _leakage_panel(motor: MotorHistory) -> Panel:
-    """The leakage; without any, the drain flow as measured, under its own name."""
-    if np.isnan(motor.leakage[0]).all():
+@dataclass(frozen=True, slots=True)
+class Projection:
+    """Where the present trend of the leakage reaches a level, from the last night with a change."""
+
+    night: dt.date
+    change: float  # %, of that night
+    level: float  # %
+    # Days from then on; the likeliest and the last may be open.
+    earliest: float
+    likeliest: float | None
+    latest: float | None
+
+    @staticmethod
+    def of(motor: MotorHistory) -> Projection | None:
+        """Return that of the newest night; None where no date can be named, or it has come."""
+        if not motor.nights:
+            return None
+        row = motor.rows.row(-1, named=True)
+        change, earliest = row["leakage_change_percent"], row["days_to_limit_lower"]
+        level = _alarm_level(motor)
+        if row["days_to_limit_status"] not in DATED or change is None or not change < level:
+            return None
+        dates = row["days_to_limit"], row["days_to_limit_upper"]
+        return Projection(row["night"], change, level, earliest, *dates)
+
+    @property
+    def ahead(self) -> float:
+        """Days to show beyond the last night."""
+        return BEYOND * (self.latest or self.likeliest or self.earliest)
+
+    def at(self, *days: float) -> Times:
+        """Times that many days after the last night."""
+        minutes = [np.timedelta64(round(1440 * ahead), "m") for ahead in days]
+        return np.datetime64(self.night, "m") + np.array(minutes)
+
+    @property
+    def area(self) -> Area:
+        """Between the earliest and the latest date, to the level."""
+        end = self.latest or self.ahead
+        foot = [] if self.latest else [(end, self.change)]
+        corners = [(0.0, self.change), (self.earliest, self.level), (end, self.level), *foot]
+        days, change = zip(*corners, strict=True)
+        return Area(self.at(*days), np.array(change), ORANGE)
+
+    @property
+    def line(self) -> Line:
+        """To the likeliest date, or to the earliest where only that is known."""
+        name = (
+            "projection, 90 % band" if self.likeliest else "projection, earliest of its 90 % band"
+        )
+        days = self.likeliest or self.earliest
+        change = np.array([self.change, self.level])
+        return Line(name, change, ORANGE, dash="dash", time=self.at(0.0, days))
+
+
+def _alarm_level(motor: MotorHistory) -> float:
+    """The rise that is an alarm, %: the fleet's, or that to the motor type's own limit."""
+    row = motor.rows.row(-1, named=True)
+    level = float(row["alarm_level_percent"] or np.nan)
+    reference = motor.trends.get("reference_leakage")
+    if row["alarm_limit_l_per_min"] is None or reference is None:
+        return level
+    means = [mean for mean in reference["baseline_mean"] if mean is not None] or [np.nan]
+    return float(np.fmin(level, 100.0 * (row["alarm_limit_l_per_min"] / means[-1] - 1.0)))
+
+
+def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
+    """The leakage against its baseline; without any, the drain flow as measured."""
+    change, lower, upper = (
+        motor.figure(f"leakage_change_{end}") for end in ("percent", "lower", "upper")
+    )
+    if np.isnan(change).all():
         flow = Line("drain flow", motor.figure("mean_drain_flow_l_per_min"), GREY, symbol="circle")
         return Panel("Drain flow, mean of the night", "l/min", (flow,))
-    own = _styled("leakage", 0, *motor.leakage)
-    level = Line("baseline", motor.level, GREY, dash="dash")
-    low, high = _ends([own.value, level.value], LEAST_REACH * float(np.nanmedian(own.value)))
-    # Of older nights an interval may be cut; the newest is shown as a whole.
-    _, lower, upper = (one[-1] for one in motor.leakage)
-    ends = float(np.fmin(low, lower)), float(np.fmax(high, upper))
-    return Panel("Leakage at its usual operating point", "l/min", (own, level), ends, 210)
+    own = Line("leakage", change, BLUE, lower, upper, symbol="circle", is_band=True)
+    alarm, limits = _alarm_level(motor), motor.figure("detection_limit_percent")
+    span = np.array([motor.nights[0], motor.nights[-1]], dtype="datetime64[m]")
+    if projection is not None:
+        span[1] = projection.at(projection.ahead)[0]
+
+    def level(name: str, height: float, colour: str, dash: str) -> Line:
+        return Line(name, np.full(2, height), colour, dash=dash, time=span)
+
+    lines = [
+        own,
+        level("baseline", 0.0, GREY, "dash"),
+        level(f"alarm level +{alarm:.3g} %", alarm, VERMILION, "longdash"),
+    ]
+    if np.isfinite(limits).any():
+        warning = float(limits[np.isfinite(limits)][-1])
+        lines.append(level(f"warning from +{warning:.2g} %, ten nights", warning, ORANGE, "dot"))
+    areas: tuple[Area, ...] = ()
+    if projection is not None:
+        lines.append(projection.line)
+        areas = (projection.area,)
+    known = np.concatenate([change, [0.0, alarm, lower[-1], upper[-1]]])
+    low, high = float(np.nanmin(known)), float(np.nanmax(known))
+    ends = low - 0.08 * (high - low), high + 0.08 * (high - low)
+    flows = motor.level[np.isfinite(motor.level)]
+    right = float(flows[-1]) if len(flows) else None
+    unit = "% and l/min" if right else "%"
+    return Panel("Leakage against its baseline", unit, tuple(lines), ends, 250, areas, right)
 
 
 def _evidence_panel(motor: MotorHistory) -> Panel | None:

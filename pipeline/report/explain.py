@@ -189,7 +189,7 @@ def _leakages(own: Row, fit: Row) -> Iterator[str]:
     why = f"none without a baseline: {own['sentence'] or own['leakage_reason']}"
     at = f", {_conditions(own, 'own')}" if own["own_pressure_bar"] is not None else ""
     places = {
-        "own": f"at the motor's own conditions (those of its baseline{at})",
+        "own": f"at its usual operating point (that of its baseline{at})",
         "reference": f"at the reference ({_conditions(fit, 'reference')})",
     }
     for name, place in places.items():

@@ -5,11 +5,14 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.config import MotorSpec
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.settings import ReferenceConditions
+from pipeline.palette import COLOURS
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
 from pipeline.thinning import keep_extremes
@@ -35,7 +38,7 @@ class FleetRow:
     newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
     line: str  # its leakage at its own conditions as SVG; empty where there is none
     reference: tuple[float, float, float]  # reference conditions: bar, °C, rpm
-    # n_recent_good, n_recent: fitted nights, and nights with a row, among the fleet's newest 30.
+    # n_recent_good, n_recent: fitted nights, and nights with a row, among its newest 30.
     n_recent_good: int
     n_recent: int
 
@@ -43,11 +46,15 @@ class FleetRow:
 def fleet_rows(
     motors: Sequence[MotorHistory],
     specs: Mapping[str, MotorSpec],
-    states: Mapping[str, MotorState],
+    states: Sequence[MotorState],
+    reference: ReferenceConditions,
 ) -> list[FleetRow]:
-    """All motors, the most urgent first."""
+    """All motors, the most urgent first; those that the config has no more have no spec."""
     span = fleet_span(motors)
-    rows = [_row(motor, specs[motor.motor_id], states[motor.motor_id], span) for motor in motors]
+    rows = [
+        _row(motor, specs.get(motor.motor_id), state, span, reference)
+        for motor, state in zip(motors, states, strict=True)
+    ]
     return sorted(rows, key=lambda row: urgency(row.state))
 
 
@@ -57,21 +64,41 @@ def fleet_span(motors: Sequence[MotorHistory]) -> Span | None:
     return (min(nights), max(nights)) if nights else None
 
 
-def _row(motor: MotorHistory, spec: MotorSpec, state: MotorState, span: Span | None) -> FleetRow:
+def _row(
+    motor: MotorHistory,
+    spec: MotorSpec | None,
+    state: MotorState,
+    span: Span | None,
+    reference: ReferenceConditions,
+) -> FleetRow:
     newest = motor.rows["last_sample"].max()
     assert newest is None or isinstance(newest, dt.datetime)
-    first = span[1] - dt.timedelta(days=RECENT_NIGHTS) if span else dt.date.max
+    first = motor.nights[-1] - dt.timedelta(days=RECENT_NIGHTS) if motor.nights else dt.date.max
     recent = motor.rows.filter(motor.rows["night"] > first)["status"].to_list()
-    at = spec.settings.reference
+    at = spec.settings.reference if spec else reference
     return FleetRow(
         state=state,
-        motor_type=spec.file.motor_type,
+        motor_type=spec.file.motor_type if spec else str(state.row["motor_type"] or ""),
         newest_data=newest,
         line=sparkline(motor, span) if span else "",
         reference=(at.pressure_bar, at.temperature_c, at.speed_rpm),
         n_recent_good=recent.count("ok"),
         n_recent=len(recent),
     )
+
+
+def overlay(fleet: Fleet, motors: Sequence[MotorHistory]) -> dict[str, Any]:
+    """Return the leakage of all motors against their baselines, % by night, for one chart."""
+    nights = sorted({night for motor in motors for night in motor.nights})
+    named = [{"name": motor.motor_id, "y": _changes(motor, nights)} for motor in motors]
+    level = fleet.settings.alarms.alarm_percent
+    return {"nights": list(map(str, nights)), "motors": named, "alarm": level, "colours": COLOURS}
+
+
+def _changes(motor: MotorHistory, nights: Sequence[dt.date]) -> list[float | None]:
+    known = dict(motor.rows.select("night", "leakage_change_percent").iter_rows())
+    found = (known.get(night) for night in nights)
+    return [None if change is None else round(change, 1) for change in found]
 
 
 def sparkline(motor: MotorHistory, span: Span) -> str:

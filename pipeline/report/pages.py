@@ -9,8 +9,8 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
-from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, of_model, signed
-from pipeline.trends.sentences import name_of
+from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, of_model
+from pipeline.trends.sentences import change_of, name_of
 
 FOLDER = Path(__file__).parent
 
@@ -31,12 +31,12 @@ def _environment() -> Environment:
     )
     environment.filters |= {
         "candidates": candidates,
+        "change": change_of,
         "figure": figure,
         "indicator": name_of,
         "of_model": of_model,
         "plain": plain,
         "sentence": as_sentence,
-        "signed": signed,
     }
     environment.globals |= {
         "absent": ABSENT,

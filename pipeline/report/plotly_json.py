@@ -9,23 +9,28 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any, Final
 
 import numpy as np
 
 from pipeline.arrays import Array
-from pipeline.report.charts import Chart, Line, Mark, Panel, Times
+from pipeline.report.charts import Area, Chart, Line, Mark, Panel, Times
+from pipeline.trends.sentences import in_percent
 
 Payload = dict[str, Any]
 
 # In a string of JSON their escapes mean the same, and end no script element; what lies beyond
 # ASCII, and could end a line, is escaped by JSON itself.
 HARMFUL = "<>&"
-# Pixels around the panels, of a line of a panel's head, and of the numbers of events.
-MARGIN: Final = {"l": 52, "r": 12, "t": 6, "b": 24}
-LETTER_HEIGHT, NUMBERS, BELOW = 17, 26, 12
+# Pixels around the panels, above them for the buttons; of a line of a panel's head, and below it.
+MARGIN: Final = {"l": 44, "r": 44, "t": 30, "b": 24}
+LETTER_HEIGHT, BELOW = 17, 12
+# Nights that a chart is asked to show; "all" is always there.
+RANGES: Final = (30, 90, 365)
+# Beyond the last night is shown at most this share of those before it.
+MOST_AHEAD = 1.0
 LETTERS = 46  # of a line of the names in a head: a telephone has room for no more
 # Of more nights than that the marks would cover the lines.
 MARKED = 200
@@ -35,13 +40,13 @@ SIGNS = {"circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲
 def figure(chart: Chart) -> Payload:
     """The chart for `draw` of the pages; empty where there is nothing to show.
 
-    `x` holds the times, the same of all traces.
+    `x` holds the times of traces that have none of their own; `ranges` the ends of the axis of time
+    by the number of nights shown.
     """
     if not chart.panels:
         return {}
     heads = [_head(panel) for panel in chart.panels]
     above = [LETTER_HEIGHT * (one.count("<br>") + 1) + BELOW for one in heads]
-    above[0] += NUMBERS if chart.marks else 0
     heights = [top + panel.height for top, panel in zip(above, chart.panels, strict=True)]
     whole = sum(heights)
     traces: list[Payload] = []
@@ -52,10 +57,17 @@ def figure(chart: Chart) -> Payload:
         bottom = 1.0 - sum(heights[: place + 1]) / whole
         ends = {"domain": [max(bottom, 0.0), bottom + panel.height / whole]}
         ends |= {"range": list(panel.ends)} if panel.ends else {}
-        layout[f"yaxis{axis[1:]}"] = ends | {"nticks": max(3, panel.height // 30)}
-        shift = NUMBERS if chart.marks and place == 0 else 0
-        layout["annotations"].append(_text(head, axis, yshift=shift, align="left"))
+        ticks = {"nticks": max(3, panel.height // 30), "fixedrange": True}
+        layout[f"yaxis{axis[1:]}"] = ends | ticks
+        layout["annotations"].append(_text(head, axis))
+        traces += [_area(area, axis) for area in _areas(panel, chart.time)]
         traces += [_trace(line, panel, axis, chart) for line in panel.lines]
+        if panel.right and panel.ends:
+            flows = [panel.right * (1.0 + end / 100.0) for end in panel.ends]
+            right = {"overlaying": axis, "side": "right", "range": flows, "showgrid": False}
+            layout["yaxis9"] = right | ticks | {"tickformat": ".3~g"}
+            # Plotly shows an axis only with a trace.
+            traces.append({"yaxis": "y9", "y": [None] * len(chart.time), "hoverinfo": "skip"})
         layout["shapes"] += [_upright(one, axis) for one in chart.marks]
         layout["shapes"] += [
             {"type": "rect", "layer": "below", "x0": str(first), "x1": str(last)}
@@ -63,12 +75,19 @@ def figure(chart: Chart) -> Payload:
             | {"opacity": 0.18, "line": {"width": 0}}
             for first, last in chart.shaded
         ]
-    for number, mark in enumerate(chart.marks):
-        at = {"x": str(mark.night), "xref": "x", "xanchor": "center", "yshift": 13 * (number % 2)}
-        layout["annotations"].append(_text(str(number + 1), "y", **at))
-    layout["xaxis"] = {"type": "date", "anchor": f"y{len(heads) if len(heads) > 1 else ''}"}
-    layout["xaxis"]["range"] = _span(chart.time)
-    return {"x": [str(one) for one in chart.time], "data": traces, "layout": layout}
+    if chart.marks:
+        hidden = {"overlaying": "y", "visible": False, "fixedrange": True}
+        layout["yaxis8"] = hidden | {"range": [0, 1]}
+        traces.append(_mark_trace(chart.marks))
+    layout["xaxis"] = {
+        "type": "date",
+        "tickangle": 0,
+        "nticks": 6,
+        "anchor": f"y{len(heads) if len(heads) > 1 else ''}",
+    }
+    ranges = _ranges(chart)
+    layout["xaxis"]["range"] = ranges["all"]
+    return {"x": list(map(str, chart.time)), "data": traces, "layout": layout, "ranges": ranges}
 
 
 def script_json(document: Mapping[str, Any]) -> str:
@@ -105,12 +124,66 @@ def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
         "marker": {"color": line.colour, "size": 5, "symbol": line.symbol or "circle"},
         "hovertemplate": f"%{{x|{day}}}: %{{y:.4g}} {panel.unit}<extra>{safe(line.name)}</extra>",
     }
-    if line.lower is not None and line.upper is not None:
-        ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
-        trace["error_y"] = {name: numbers(end) for name, end in ends.items()}
-        trace["error_y"] |= {"type": "data", "symmetric": False, "width": 0, "thickness": 2}
-        trace["error_y"]["color"] = f"{line.colour}66"
+    if line.time is not None:
+        trace["x"] = list(map(str, line.time))
+    if line.lower is None or line.upper is None:
+        return trace
+    if line.is_band:
+        trace["customdata"] = [
+            in_percent(*ends) if all(map(math.isfinite, ends)) else ""
+            for ends in np.column_stack([line.value, line.lower, line.upper]).tolist()
+        ]
+        words = f"%{{x|{day}}}: %{{customdata}}<extra>{safe(line.name)}</extra>"
+        return trace | {"hovertemplate": words}
+    ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
+    trace["error_y"] = {name: numbers(end) for name, end in ends.items()}
+    trace["error_y"] |= {"type": "data", "symmetric": False, "width": 0, "thickness": 2}
+    trace["error_y"]["color"] = f"{line.colour}66"
     return trace
+
+
+def _areas(panel: Panel, time: Times) -> Iterator[Area]:
+    """Yield the areas of a panel, and those of the bands, broken where nights have no interval."""
+    yield from panel.areas
+    for line in panel.lines:
+        if not line.is_band or line.lower is None or line.upper is None:
+            continue
+        known = np.flatnonzero(np.isfinite(line.lower) & np.isfinite(line.upper))
+        for part in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+            there_and_back = np.concatenate([part, part[::-1]])
+            ends = np.concatenate([line.lower[part], line.upper[part[::-1]]])
+            yield Area(time[there_and_back], ends, line.colour)
+
+
+def _area(area: Area, axis: str) -> Payload:
+    return {
+        "x": list(map(str, area.time)),
+        "y": numbers(area.value),
+        "yaxis": axis,
+        "mode": "lines",
+        "line": {"width": 0},
+        "fill": "toself",
+        "fillcolor": f"{area.colour}33",
+        "hoverinfo": "skip",
+    }
+
+
+def _mark_trace(marks: Sequence[Mark]) -> Payload:
+    """The marks at the top of the first panel, with their words."""
+    return {
+        "x": [str(mark.night) for mark in marks],
+        "y": [0.985] * len(marks),
+        "yaxis": "y8",
+        "mode": "markers",
+        "name": "marks",
+        "marker": {
+            "symbol": "triangle-down",
+            "size": 10,
+            "color": [mark.colour for mark in marks],
+        },
+        "customdata": [safe(mark.words) for mark in marks],
+        "hovertemplate": "%{x|%Y-%m-%d}: %{customdata}<extra></extra>",
+    }
 
 
 def _head(panel: Panel) -> str:
@@ -128,14 +201,14 @@ def _head(panel: Panel) -> str:
             room = LETTERS
         room -= len(short) + 4
         sign = f'<span style="color:{line.colour}">{SIGNS[line.symbol]}</span>'
-        rows[-1].append(f"{sign} {safe(short)}")
+        rows[-1].append(f"{sign} {escape(short, quote=False)}")
     return "<br>".join([title, *("   ".join(row) for row in rows)])
 
 
-def _text(words: str, axis: str, **more: Any) -> Payload:
+def _text(words: str, axis: str) -> Payload:
     """Words above a panel."""
     place = {"xref": "paper", "x": 0, "xanchor": "left", "yref": f"{axis} domain", "y": 1}
-    return place | {"text": words, "showarrow": False, "yanchor": "bottom"} | more
+    return place | {"text": words, "showarrow": False, "yanchor": "bottom", "align": "left"}
 
 
 def _upright(mark: Mark, axis: str) -> Payload:
@@ -143,8 +216,15 @@ def _upright(mark: Mark, axis: str) -> Payload:
     return place | {"y0": 0, "y1": 1, "line": {"color": mark.colour, "width": 1, "dash": "dot"}}
 
 
-def _span(time: Times) -> list[str]:
-    """Ends of the axis of time: a little beyond the first and the last."""
-    first, last = time[[0, -1]].astype("datetime64[m]")
-    beyond = max((last - first) // 50, np.timedelta64(1, "m"))
-    return [str(first - beyond), str(last + beyond)]
+def _ranges(chart: Chart) -> dict[str, list[str]]:
+    """Ends of the axis of time by the nights that it shows: a little beyond them, and ahead."""
+    first, last = chart.time[[0, -1]].astype("datetime64[m]")
+    begins = {str(n): last - np.timedelta64(n, "D") for n in RANGES}
+    begins = {name: begin for name, begin in begins.items() if begin > first} | {"all": first}
+    ahead = np.timedelta64(round(1440 * min(chart.ahead, 1e5)), "m")
+    found = {}
+    for name, begin in begins.items():
+        beyond = max((last - begin) // 50, np.timedelta64(1, "m"))
+        end = last + max(beyond, min(ahead, (last - begin) * MOST_AHEAD))
+        found[name] = [str(begin - beyond), str(end)]
+    return found

@@ -85,16 +85,3 @@ def conditions(
     '131 bar, 48.6 °C, 24.7 rpm'
     """
     return f"{figure(pressure_bar)} bar, {figure(temperature_c)} °C, {figure(speed_rpm)} rpm"
-
-
-def signed(change_percent: float | None, decimals: int = 1) -> str:
-    """A change with its sign.
-
-    Examples
-    --------
-    >>> signed(-3.21), signed(-0.01), signed(None)
-    ('−3.2', '+0.0', '–')
-    """
-    if change_percent is None:
-        return ABSENT
-    return f"{change_percent:+z.{decimals}f}".replace("-", "−")

@@ -34,13 +34,14 @@ def settle_intraday(fleet: Fleet, state: State) -> None:
         log.warning("intraday check: %s; the next run settles what it reported", error)
 
 
-def _states(fleet: Fleet) -> list[dict[str, str]]:
+def summary_rows(fleet: Fleet) -> list[dict[str, str]]:
     """State of each motor for a summary, the most urgent first."""
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
     return [
         {
             "motor_id": state.motor_id,
             "state": state.state,
+            "headline": state.headline,
             "sentence": state.why,
             "advice": state.advice,
         }
@@ -67,7 +68,7 @@ def _deliver_summary(fleet: Fleet, state: State, receiver: Receiver) -> None:
     due = fleet.settings.alarms.email.summary_due(today)
     try:
         if due is not None:
-            deliver_summary(state, receiver, fleet.name, due, lambda: _states(fleet))
+            deliver_summary(state, receiver, fleet.name, due, lambda: summary_rows(fleet))
     except UndeliveredError as error:
         log.warning("%s: summary: %s; the next run tries again", receiver.label, error.why)
 

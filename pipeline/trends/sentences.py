@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 NAMES = {
     "leakage": "leakage",
-    "reference_leakage": "leakage at the reference conditions",
-    "own_reference_leakage": "leakage at the motor's own conditions",
+    "reference_leakage": "leakage at reference conditions",
+    "own_reference_leakage": "leakage at its usual operating point",
     "baseline_deviation": "case drain flow against the baseline",
     "drain_flow": "case drain flow",
     "oil_viscosity": "viscosity as measured against the data sheet",
@@ -331,18 +331,48 @@ def _quantity(change: Change | None) -> str:
 
 def relative_change(size: Estimate) -> str:
     """A relative change with its interval, in per cent."""
-    digits = 0 if abs(size.value) >= 0.1 else 1
-    return in_percent(digits, 100 * size.value, 100 * size.lower, 100 * size.upper)
+    return in_percent(100 * size.value, 100 * size.lower, 100 * size.upper)
 
 
-def in_percent(digits: int, value: float, lower: float, upper: float) -> str:
+def change_of(row: Mapping[str, Any], name: str = "leakage_change") -> str:
+    """Return a change of a row of `nights` with its interval; empty where there is none."""
+    ends = [row[f"{name}_{end}"] for end in ("percent", "lower", "upper")]
+    return "" if None in ends else in_percent(*ends)
+
+
+def headline(row: Mapping[str, Any]) -> str:
+    """Return the change of a row of `nights`, since when, and the part; empty without a change.
+
+    Examples
+    --------
+    >>> ends = ("percent", "lower", "upper")
+    >>> row = {f"leakage_change_{end}": of for end, of in zip(ends, (42.8, 38.5, 47.1))}
+    >>> row |= {"cause": "cannot_be_told", "onset": "2026-02-03"}
+    >>> headline(row)
+    'leakage +43 % [38, 47] since 3 February 2026, part not identified'
+    """
+    if not (size := change_of(row)):
+        return ""
+    quantity = "case drain flow" if row["cause"] in NO_LEAKAGE else "leakage"
+    since = f" since {day(row['onset'])}" if row["onset"] else ""
+    part = f", {part_of(row['cause'])}" if row["cause"] else ""
+    return f"{quantity} {size}{since}{part}"
+
+
+def part_of(cause: str) -> str:
+    """Return the part that a cause names, in words."""
+    return "part not identified" if cause in ("cannot_be_told", "a_part") else cause_words(cause)
+
+
+def in_percent(value: float, lower: float, upper: float) -> str:
     """A change in per cent with its interval; a zero has no minus.
 
     Examples
     --------
-    >>> in_percent(1, -0.02, -0.31, 0.27), in_percent(0, 25.4, -0.4, 51.2)
+    >>> in_percent(-0.02, -0.31, 0.27), in_percent(25.4, -0.4, 51.2)
     ('+0.0 % [-0.3, 0.3]', '+25 % [0, 51]')
     """
+    digits = 0 if abs(value) >= 10 else 1
     return f"{value:+z.{digits}f} % [{lower:z.{digits}f}, {upper:z.{digits}f}]"
 
 

@@ -69,14 +69,10 @@ def test_status_says_what_the_tables_say(demo: ScenarioFleet) -> None:
     assert [name for name, _ in listed] == list(motors)  # the motor that needs attention most first
     assert listed[-1] == ["CB400-01", "ok"]
     for line in plain.out.splitlines()[1:]:
-        name, state, change, leakage, onset, last, words = line.split("\t")
+        name, _, leakage, _, onset, order = line.split("\t")
         row = motors[name]
-        assert change.startswith(f"{row['leakage_change_percent']:+.1f} % [")
-        assert leakage == f"{row['own_leakage_l_per_min']:.3g}"
-        assert (onset, last) == (row["onset"] or "", row["last_fit_night"])
-        assert row["sentence"] in words
-        # What to do stands behind what happened, where there is something to do.
-        assert words.endswith(row["advice"]) == (state != "ok")
+        assert float(leakage) == pytest.approx(row["own_leakage_l_per_min"], rel=0.005)
+        assert (onset, order) == (row["onset"] or "", row["advice"])
 
 
 @pytest.mark.parametrize("motor", STATES)
@@ -108,8 +104,7 @@ def test_pages_have_each_motor_with_its_sentence(demo: ScenarioFleet) -> None:
         motor for motor, (state, _) in STATES.items() if state != "ok"
     )
     for motor in STATES:
-        sentence = demo.newest(motor)["sentence"]
-        happened = sentence[1:].partition("; its limit")[0]  # whose date stands beside it
-        assert happened in (pages / "motors" / f"{motor}.html").read_text("utf-8")
+        assert demo.newest(motor)["sentence"][1:] in (pages / "motors" / f"{motor}.html").read_text(
+            "utf-8"
+        )
         assert f'href="motors/{motor}.html"' in index
-        assert happened in index

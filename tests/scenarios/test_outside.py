@@ -197,9 +197,7 @@ def test_pages_say_what_the_tables_say(plant: ScenarioFleet) -> None:
     for row in moved.table("latest").to_dicts():
         page = (pages / "motors" / f"{row['motor_id']}.html").read_text("utf-8")
         assert row["sentence"][1:].split(";")[0] in page
-        assert row["sentence"][1:] in index
-        for value in ("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"):
-            assert f"{row[value]:+.1f}" in index
+        assert row["advice"] in index
         nights = sorted((pages / "data" / row["motor_id"]).glob("*2026-01-*"))
         assert [path.stem[-10:] for path in nights] == [f"2026-01-{day}" for day in (19, 20, 21)]
     again = plant.run("report", "--output", moved.output, "--to", "pages", "--nights", 3)

@@ -174,7 +174,7 @@ def test_what_people_enter_is_published_and_shown(plant: ScenarioFleet) -> None:
         opened,
     }
     assert plant.newest("broken")["acknowledged"] == "as feared"
-    assert "(acknowledged: as feared)" in plant.run("status").out
+    assert "(acknowledged: as feared)" in plant.run("status", "--long").out
     for wrong, words in (
         (("calm", "--note", "x"), "calm"),
         (("broken", "--note", " "), "expected some words"),

@@ -96,10 +96,16 @@ def test_a_motor_that_is_gone_stays_until_a_person_confirms_it(plant: ScenarioFl
     assert row["state"] == "removed"
     assert before["state"] in row["sentence"]
     assert before["sentence"] in row["sentence"]
-    assert "in the config no more" in plant.run("status").out
+    assert "broken\tremoved\t" in plant.run("status").out
+    plant.run("report")
+    assert '<li data-motor="broken">' in (plant.output / "report" / "index.html").read_text("utf-8")
+    page = plant.output / "report" / "motors" / "broken.html"
+    assert before["sentence"][1:] in page.read_text("utf-8")
     assert "in the config no more" not in plant.run("fit-fleet", process=True).err  # said once
     assert plant.run("ack", "broken", "--note", "scrapped").code == 0
-    assert "in the config no more" not in plant.run("status").out
+    assert "broken" not in plant.run("status").out
+    plant.run("report")
+    assert not page.exists()
     plant.run("fit-fleet")
     assert "broken" not in plant.table("latest")["motor_id"].to_list()
     (plant.folder / "broken.toml").rename(file)  # and is there again with all that it had

@@ -26,12 +26,75 @@
       shown === rows.length ? "" : `${shown} of ${rows.length} shown`;
     document.getElementById("nothing").hidden = shown > 0;
     remember();
+    draw();
   }
 
-  /* Search and order stand in the address, so that a view can be sent. */
+  /* The motors that are listed in one chart; its data and the chart library come when it opens. */
+  const overlay = document.getElementById("overlay");
+  const plot = overlay.querySelector(".plot");
+  let range = "all";
+  let series = null;
+  function load(source) {
+    const script = document.createElement("script");
+    script.src = source;
+    document.head.append(script);
+    return new Promise((done) => script.addEventListener("load", done));
+  }
+  async function open() {
+    if (!overlay.open || series) return;
+    window.motorLeakageFleet = (data) => (series = data);
+    await Promise.all([load("assets/plotly.min.js"), load("curves.js")]);
+    draw();
+  }
+  function draw() {
+    if (!overlay.open || !series) return;
+    const listed = new Set(rows.filter((row) => !row.hidden).map((row) => row.dataset.motor));
+    const traces = series.motors
+      .map((motor, place) => ({
+        ...motor,
+        x: series.nights,
+        line: { width: 1.4, color: series.colours[place % series.colours.length] },
+        hovertemplate: `%{x|%Y-%m-%d}: %{y:+.1f} %<extra>${motor.name}</extra>`,
+      }))
+      .filter((motor) => listed.has(motor.name));
+    const level = { type: "line", xref: "paper", x0: 0, x1: 1, y0: series.alarm, y1: series.alarm };
+    level.line = { color: "#d55e00", dash: "longdash", width: 1.4 };
+    const last = Date.parse(series.nights.at(-1));
+    const first = range === "all" ? Date.parse(series.nights[0]) : last - range * 86400000;
+    const days = [first, last].map((time) => new Date(time).toISOString().slice(0, 10));
+    const name = `Leakage against its baseline, %; dashed: alarm level +${series.alarm} %`;
+    const layout = {
+      title: { text: name, font: { size: 13 }, x: 0, xanchor: "left" },
+      height: 360,
+      margin: { l: 40, r: 10, t: 40, b: 30 },
+      showlegend: true,
+      legend: { orientation: "h", y: -0.12 },
+      shapes: [level],
+      xaxis: { range: days },
+      yaxis: { fixedrange: true },
+    };
+    Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true });
+    overlay.dataset.drawn = traces.length;
+  }
+  for (const button of overlay.querySelectorAll("[data-range]"))
+    button.addEventListener("click", () => showRange(button.dataset.range));
+  function showRange(name) {
+    range = name;
+    for (const button of overlay.querySelectorAll("[data-range]"))
+      button.setAttribute("aria-pressed", button.dataset.range === name);
+    remember();
+    draw();
+  }
+  overlay.addEventListener("toggle", () => {
+    remember();
+    open();
+  });
+
+  /* Search, chart and order stand in the address, so that a view can be sent. */
   function remember() {
     const said = new URLSearchParams();
     if (form.find.value) said.set("find", form.find.value);
+    if (overlay.open) said.set("chart", range);
     const sorted = headers.find((header) => header.ariaSort);
     if (sorted !== headers[1] || sorted.ariaSort !== "ascending")
       said.set("sort", `${sorted.cellIndex} ${sorted.ariaSort}`);
@@ -43,6 +106,10 @@
     form.find.value = said.get("find") ?? "";
     const [column, order] = said.get("sort")?.split(" ") ?? [1, "ascending"];
     if (headers[column]?.dataset.sort) sort(headers[column], order);
+    if (said.has("chart")) {
+      overlay.open = true;
+      showRange(said.get("chart"));
+    }
     search();
   }
 

@@ -28,7 +28,7 @@ const motorLeakage = (() => {
     plot.nextElementSibling.hidden = !isAbsent;
     document.getElementById(id).dataset.drawn = isAbsent ? "absent" : "chart";
     if (isAbsent) return Plotly.purge(plot);
-    const traces = figure.data.map((trace) => ({ ...trace, x: figure.x }));
+    const traces = figure.data.map((trace) => ({ x: figure.x, ...trace }));
     const layout = { ...figure.layout, font: { family: FONT, size: 12 } };
     for (const key of Object.keys(layout).filter((one) => /^[xy]axis/.test(one)))
       layout[key] = { ...AXIS, ...layout[key] };
@@ -87,22 +87,64 @@ const motorLeakage = (() => {
     const plot = plotOf("course");
     if (!plot.layout || !night) return;
     const shapes = (plot.layout.shapes ?? []).filter((one) => one.name !== "chosen night");
-    const line = { type: "line", x0: night, x1: night, yref: "paper", y0: 0, y1: 1 };
+    const line = { type: "line", x0: night, x1: night, yref: "paper", y0: 0 };
+    line.y1 = plot.layout.yaxis.domain[1];
     const look = { line: { color: "#76818d", width: 1 }, name: "chosen night" };
     Plotly.relayout(plot, { shapes: [...shapes, { ...line, ...look }] });
   }
 
+  /* The night and the range of dates stand in the address: #2026-03-17&range=90 */
+  let range = "all";
+  const ranges = page.course.ranges ?? {};
   const isKnown = (night) => page.nights.includes(night);
+  const address = (night) =>
+    `#${[night, range === "all" ? "" : `range=${range}`].filter(Boolean).join("&")}`;
   function go(night) {
     if (!isKnown(night)) return;
-    if (location.hash === `#${night}`) fromHash();
-    else location.hash = night;
+    if (location.hash === address(night)) fromHash();
+    else location.hash = address(night);
   }
   function fromHash() {
-    const night = location.hash.slice(1);
+    const night = location.hash.slice(1, 11);
+    const asked = /range=(\w+)/.exec(location.hash)?.[1];
+    if (ranges[asked]) showRange(asked);
     if (!isKnown(night)) return;
     if (night !== wanted) choose(night);
     byId("night").scrollIntoView();
+  }
+  function showRange(name) {
+    range = name;
+    for (const button of document.querySelectorAll("[data-range]"))
+      button.setAttribute("aria-pressed", button.dataset.range === name);
+    return Plotly.relayout(plotOf("course"), { "xaxis.range": ranges[name] });
+  }
+  for (const button of document.querySelectorAll("[data-range]")) {
+    button.disabled = !ranges[button.dataset.range];
+    button.addEventListener("click", () => {
+      showRange(button.dataset.range);
+      history.replaceState(null, "", address(isKnown(location.hash.slice(1, 11)) ? wanted : ""));
+    });
+  }
+
+  /* The command that acknowledges the state, as it is filled in, to be copied. */
+  const form = byId("acknowledge");
+  if (form) {
+    const command = byId("command");
+    const quoted = (words) => `'${words.replaceAll("'", "'\\''")}'`;
+    const fill = () => {
+      const finding = form.finding.value ? ` --finding ${form.finding.value}` : "";
+      command.textContent = `${command.dataset.start} --note ${quoted(form.note.value)}${finding}`;
+    };
+    form.addEventListener("input", fill);
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      fill();
+      getSelection().selectAllChildren(command);
+      /* Without the clipboard the command stands there selected. */
+      await navigator.clipboard?.writeText(command.textContent).catch(() => {});
+      byId("copied").textContent = "copied; run it on the machine with the tables";
+    });
+    fill();
   }
 
   draw("course", page.course);
@@ -110,7 +152,7 @@ const motorLeakage = (() => {
     plotOf("course").on("plotly_click", (event) => go(String(event.points[0].x).slice(0, 10)));
     /* On paper it is as wide as the sheet (`zoom` of report.css), whatever the window is. */
     const resize = (width) => Plotly.relayout(plotOf("course"), { width, autosize: !width });
-    window.addEventListener("beforeprint", () => resize(950));
+    window.addEventListener("beforeprint", () => resize(1030));
     window.addEventListener("afterprint", () => resize(null));
   }
   select.append(

@@ -16,7 +16,7 @@ from pipeline.schema import ALARMS, LATEST, NIGHTS
 from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
 from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.trends.nights.decisions import SENSORS, Decision, read_decisions
-from pipeline.trends.sentences import limit_dates
+from pipeline.trends.sentences import change_of, headline, limit_dates
 
 Row = dict[str, Any]
 
@@ -81,6 +81,21 @@ class MotorState:
         return str(self.row["advice"])
 
     @property
+    def change(self) -> str:
+        """Leakage now against its baseline, with its interval; empty where it is not known."""
+        return change_of(self.row)
+
+    @property
+    def headline(self) -> str:
+        """The same, since when, and the part; without it the sentence, which says why."""
+        return headline(self.row) or str(self.row["sentence"])
+
+    @property
+    def since(self) -> str:
+        """First night of the change, else of the state; empty where ok."""
+        return str(self.row["onset"] or self.row["state_since"] or "")
+
+    @property
     def sentence(self) -> str:
         """The state in words, a sudden rise within the day first."""
         rise = self.intraday.words if self.intraday is not None and self.is_sudden else ""
@@ -129,6 +144,11 @@ class MotorState:
     def needs_attention(self) -> bool:
         """The state asks for something, or the last night failed."""
         return self.is_sudden or self.state in TOLD or bool(self.failure)
+
+    @property
+    def needs_acknowledgement(self) -> bool:
+        """A change of state is in force that a person may acknowledge."""
+        return self.state in TOLD
 
     @property
     def is_sudden(self) -> bool:

@@ -46,6 +46,7 @@ FIGURES = {
     "own_temperature_c": 48.0,
     "own_speed_rpm": 26.0,
     "detection_limit_percent": 3.0,
+    "alarm_level_percent": 30.0,
     "baseline_start": night_of(0),
     "baseline_end": night_of(1),
 }

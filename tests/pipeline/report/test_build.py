@@ -129,7 +129,7 @@ def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(built: P
     (built / "mine.txt").write_text("mine")
     manifest = built / "report" / "manifest.json"
     document = json.loads(manifest.read_bytes())
-    document["files"].append("../mine.txt")
+    document["files"]["../mine.txt"] = ""
     manifest.write_text(json.dumps(document))
     change_table(built, "nights", lambda rows: rows.clear(), str(NIGHTS[0]))
     result = build_report(

@@ -96,7 +96,7 @@ def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind:
     assert "insufficient_data" in said(call("explain", workshop.fleet, "M1", LABEL))
     # `status` knows of the motor that it knows nothing.
     shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
-    assert shown[:6] == ["M1", "insufficient", "unknown", "unknown", "", "never"]
+    assert shown[:6] == ["M1", "insufficient", "unknown", "unknown", "", "Wait for more nights."]
     found = said(call("check", workshop.fleet))
     assert ("none is kept" in found) == (kind != "one sample")
     assert "e+" not in found
