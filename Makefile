@@ -26,6 +26,7 @@ COMPILE := $(BIN)/python -m compileall -q -j 0 -x '/(tests?|plotly|fontTools|pyg
 
 $(RUN): requirements/run.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; say make PYTHON=...")'
+	@echo "installing the program's packages into $(VENV)/: about a minute, once"
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --require-hashes -r $<
 	$(INSTALL) --no-deps --no-build-isolation -e .
@@ -66,6 +67,7 @@ check: $(RUN)  ## check a fleet's config and the head of its logs: CONFIG=...
 demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fleet.toml, in demo/
 
 $(DEMO)/truth.json: | $(RUN)
+	@echo "simulating 75 nights of six motors into $(DEMO)/: about 20 seconds, once"
 	$(BIN)/motor-leakage demo . $(if $(LAST_NIGHT),--last-night $(LAST_NIGHT))
 
 lint: $(DEV)     ## style, types, law of imports, and up-to-date docs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import re
 import shutil
@@ -40,6 +41,44 @@ SOURCES = [
 # Beginnings of the codes that stand in tables, each of which has its line.
 ROOMS = ("log_", "task_", "scheduler_", "object_store_")
 NO_CODES = {"log_files", "log_note", "log_of_samples"}
+
+
+# Words of an older language; the trade has others.
+OLD_WORDS = re.compile(
+    r"\b(told|tells|would tell|goes on|a look at|its course|(the motor's|its) own conditions"
+    r"|cannot be told|over 99 % probable|lack of fit|refused samples|not white|zeros of the sensors"
+    r"|the model before|its zero is known|tell as much as|nothing is known since)\b",
+    re.IGNORECASE,
+)
+
+
+def texts_for_people() -> Iterator[tuple[str, str]]:
+    """Pages, templates, descriptions of columns and messages, with their places."""
+    package = ROOT / "pipeline"
+    written = [ROOT / "README.md", *DOCS.glob("*.md"), package / "schema" / "columns.csv"]
+    for path in (*written, *(package / "report").glob("*/*.*")):
+        yield from (
+            (f"{path.name}:{n}", line)
+            for n, line in enumerate(path.read_text("utf-8").splitlines(), 1)
+        )
+    for path in SOURCES:
+        tree = ast.parse(path.read_text("utf-8"))
+        # Docstrings are for people only where they are the help of a command.
+        helps = "cli" in path.parts
+        docstrings = {
+            id(node.value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and not helps
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and id(node) not in docstrings:
+                yield f"{path.name}:{node.lineno}", str(node.value)
+
+
+def test_what_people_read_is_in_the_words_of_the_trade() -> None:
+    seen = list(texts_for_people())
+    assert len(seen) > 5000
+    assert [(place, found[0]) for place, text in seen if (found := OLD_WORDS.search(text))] == []
 
 
 def blocks(text: str, language: str) -> list[str]:

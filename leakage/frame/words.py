@@ -101,7 +101,7 @@ def errors(part: str, found: ResidualAnalysis) -> str:
     """What is left of a part after the fit."""
     if found.whiteness.verdict == "not_tested":
         return f"errors of {part}: not tested, {found.whiteness.reason}"
-    white = "white" if found.whiteness.verdict == "passed" else "not white"
+    white = "not autocorrelated" if found.whiteness.verdict == "passed" else "autocorrelated"
     verdicts = {name.replace("_", " "): test.verdict for name, test in found.independence.items()}
     if set(verdicts.values()) == {"passed"}:
         return f"errors of {part}: {white}, independent of every input"

@@ -113,7 +113,7 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     if code in SIGNALS:
-        words = f"stopped by {SIGNALS[code]}; what is written is whole, and the next call goes on"
+        words = f"stopped by {SIGNALS[code]}; what is written is whole, and the next call continues"
         error = MotorLeakageError("interrupted", words)
     if error is not None:
         typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)

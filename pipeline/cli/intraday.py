@@ -44,7 +44,7 @@ def look(
 ) -> None:
     """Judge the night so far in growing logs, and notify of a sudden rise at once.
 
-    The nightly run goes on beside it, and nothing of it is touched. With --every 10min it checks
+    The nightly run continues beside it, and nothing of it is touched. With --every 10min it checks
     until it is stopped.
 
     Example: motor-leakage look configs/fleet.toml

@@ -125,7 +125,7 @@ class Email(Section):
 
 
 class Alarms(Section):
-    """Rules for the states `warning` and `alarm`, and who is told."""
+    """Rules for the states `warning` and `alarm`, and who is notified."""
 
     shapes = Stage.NOTHING
 

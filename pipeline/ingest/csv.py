@@ -179,7 +179,7 @@ class _Rows:
                 try:
                     found = self._parsed(texts, data, start)
                 except pa.ArrowInvalid as error:
-                    how = f"the rows cannot be told apart: {error}"
+                    how = f"the rows are ambiguous: {error}"
                     raise LogError("log_damaged", self.path, how) from error
         table, ragged = found
         if ragged.swallowed:

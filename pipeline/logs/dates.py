@@ -149,7 +149,7 @@ def with_told_nights(
         kept = sorted(map(str, (one for one in nights if first <= one <= min(last, latest))))
         if not kept:
             return record
-        message = f"{record.message} (night told {how})"
+        message = f"{record.message} (night known {how})"
         return replace(record, nights=tuple(kept), message=message)
 
     return {

@@ -129,8 +129,8 @@ class MotorLogs:
             return f"changed file {name}"
         if known.is_ahead and (now.status, now.last_us) != (known.status, known.last_us):
             return f"the clock has passed time stamps of {name}"
-        is_newly_told = has_no_span(now) and not labels_of(now) <= labels_of(known)
-        return f"the night of {name} is told now" if is_newly_told else None
+        is_newly_known = has_no_span(now) and not labels_of(now) <= labels_of(known)
+        return f"the night of {name} is known now" if is_newly_known else None
 
     def touched(self, name: str) -> set[dt.date]:
         """Nights in which a file has samples, or had them before it was changed."""

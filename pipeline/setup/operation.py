@@ -54,7 +54,7 @@ def operation(spec: MotorSpec, samples: Samples) -> str:
         reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
     ran = (
         f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
-        "tells every path within 30 minutes"
+        "identifies every path within 30 minutes"
     )
     needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.training_share
     if minutes < needed:

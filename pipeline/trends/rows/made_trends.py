@@ -151,7 +151,7 @@ class MadeTrends:
             "night": label,
             "state": state,
             "cause": zero.name,
-            "sentence": words or "its zero is known",
+            "sentence": words or "sensor zero recorded",
             "advice": CHECK_ZERO if state == "warning" else "",
         }
 

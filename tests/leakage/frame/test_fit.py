@@ -111,7 +111,7 @@ def test_words(found: FrameFit) -> None:
     assert title.endswith(f" bar, 42 to 57 °C, {speed.min():.0f} to {speed.max():.0f} rpm")
     for name in ("K_o", "K_p", "K_s"):
         assert any(line.startswith(name) and line.endswith("identified") for line in lines)
-    assert "errors of validation: white, independent of every input" in lines
+    assert "errors of validation: not autocorrelated, independent of every input" in lines
 
 
 def test_warnings_come_first() -> None:

@@ -32,7 +32,7 @@ def test_as_read_before() -> None:
     before = readable(name, "2026-01-05", "2026-01-06")
     record = told(failed(name), before=[before])[name]
     assert record.nights == ("2026-01-05", "2026-01-06")
-    assert record.message == "torn (night told by what it held before)"
+    assert record.message == "torn (night known by what it held before)"
     # The next run finds it as this one left it.
     assert told(record, before=[record])[name] == record
 
@@ -43,7 +43,7 @@ def test_by_its_name_and_its_neighbours() -> None:
     strange = readable("m/20260104.csv", "2026-01-09")
     record = told(*neighbours, strange, failed("m/20260131.csv"))["m/20260131.csv"]
     assert record.nights == ("2026-02-01",)
-    assert record.message == "torn (night told by its name)"
+    assert record.message == "torn (night known by its name)"
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     (row,) = table(tmp_path, "log_files").filter(status="failed").to_dicts()
     assert (row["night"], row["error_code"]) == (BLOCKS, "log_no_answer")
     assert row["message"] == (
-        f"{BLOCKS}.parquet: did not answer within 3 s (night told by its name)"
+        f"{BLOCKS}.parquet: did not answer within 3 s (night known by its name)"
     )
 
 

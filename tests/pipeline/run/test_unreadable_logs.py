@@ -71,7 +71,7 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert list(workshop.statuses().values()) == ["ok", "ok", "ok", "failed"]
     assert list(workshop.statuses()) == labels
     assert (outcome.message or "").count(str(labels[3])) == 1 + (lag == 0)
-    assert "(night told by its name)" in (outcome.message or "")
+    assert "(night known by its name)" in (outcome.message or "")
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
 
 
