@@ -1,27 +1,19 @@
-r"""Rate of change of an indicator: Theil–Sen slope, interval by generalised least squares.
+r"""Rate of change of an indicator, with an interval, by generalised least squares.
 
-Theil–Sen's slope [1]_ is the figure shown to users, as single odd nights do not move it. Its own
-interval assumes independent nights and falls to 68 % coverage where they are correlated, so the
-interval and p come from generalised least squares with first-order autoregressive errors in the
-transform of Prais and Winsten: φ from the residuals of ordinary least squares, corrected for its
-bias, φ^Δt across missing nights, and n − 3 degrees of freedom.
-
-References
-----------
-.. [1] P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", *Journal of the
-   American Statistical Association*, 63(324), 1968.
+The errors are autoregressive of the first order, in the transform of Prais and Winsten: φ from the
+residuals of ordinary least squares, corrected for its bias, φ^Δt across missing nights, and n − 3
+degrees of freedom.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtrit
 
 from leakage.arrays import Array
 
@@ -104,8 +96,6 @@ LEAST_NIGHTS = 20
 SURE_NIGHTS = 60
 # Parameters that cost a degree of freedom: level, slope and φ.
 PARAMETERS = 3
-# Pairs of nights behind a Theil–Sen slope of a long series; below it, all pairs there are.
-MOST_PAIRS = 20_000
 # Scatter below this share of the values is rounding.
 RELATIVE_ROUNDING = 1e-12
 
@@ -116,29 +106,18 @@ class Slope:
 
     # ``ok``; ``provisional`` below 60 nights; otherwise why there is no line: ``too_few_nights``
     # (below 20) or ``no_span`` (all at one position). ``no_scatter``: the nights lie on a line to
-    # within rounding, which has neither interval nor p.
+    # within rounding, which has no interval.
     status: SlopeStatus
     n: int  # Nights that count.
-    # Median of the slopes between pairs of nights [unit a unit of position]; None where it was not
-    # asked for.
-    theil_sen: float | None = None
     # slope, lower, upper: Generalised least squares, and its interval [unit a unit of position].
     slope: float | None = None
     lower: float | None = None
     upper: float | None = None
-    p_value: float | None = None  # Two-sided, of no slope.
     phi: float | None = None  # Correlation of neighbouring nights.
-    # Whether the Theil–Sen slope lies outside the interval: the nights are no line with errors.
-    theil_sen_outside: bool = False
 
 
 def fit_slope(
-    nights: Nights,
-    values: Array,
-    position: Array | None = None,
-    coverage: float = 0.95,
-    *,
-    median: bool = True,
+    nights: Nights, values: Array, position: Array | None = None, coverage: float = 0.95
 ) -> Slope:
     """Slope of an indicator over time or running hours, with an interval that holds.
 
@@ -149,7 +128,6 @@ def fit_slope(
     indicator, shape (n,); nights that are not finite do not count.
     `position`: What the slope is per unit of, such as running hours, shape (n,); None: the nights.
     `coverage`: Of the interval.
-    `median`: Whether the Theil–Sen slope is wanted, too; it takes longer than all the rest.
     """
     x = nights.astype(np.float64) if position is None else position
     kept = np.isfinite(values) & np.isfinite(x)
@@ -159,12 +137,11 @@ def fit_slope(
     nights, values, x = nights[kept], values[kept], x[kept]
     if not np.ptp(x) > 0.0:
         return Slope("no_span", n)
-    median_slope = theil_sen(x, values) if median else None
     columns = np.column_stack([np.ones(n), values, x - float(np.mean(x))])
     line = CourseFits.of(columns)
     residuals = line.residuals(0)
     if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values))):
-        return Slope("no_scatter", n, median_slope, slope=float(line.slopes[0]), phi=0.0)
+        return Slope("no_scatter", n, slope=float(line.slopes[0]), phi=0.0)
     phi = estimated_phi(residuals, nights)
     line = CourseFits.of(whitened(columns, correlation_to_previous(phi, nights)))
     slope, errors, freedom = float(line.slopes[0]), line.residuals(0), n - PARAMETERS
@@ -173,13 +150,10 @@ def fit_slope(
     return Slope(
         status="ok" if n >= SURE_NIGHTS else "provisional",
         n=n,
-        theil_sen=median_slope,
         slope=slope,
         lower=slope - half,
         upper=slope + half,
-        p_value=float(2.0 * stdtr(freedom, -abs(slope) / error)),
         phi=phi,
-        theil_sen_outside=median_slope is not None and abs(median_slope - slope) > half,
     )
 
 
@@ -215,34 +189,3 @@ class CourseFits:
         """Residuals of one of the courses, shape (n,)."""
         left: Array = self.centred[:, 0] - self.slopes[course] * self.centred[:, 1 + course]
         return left
-
-
-def theil_sen(position: Array, values: Array) -> float:
-    """Median slope between pairs of points at increasing positions.
-
-    All pairs up to 200 points. Beyond, about 20 000 of them, at distances spread evenly from the
-    nearest points to the farthest, so that its cost does not grow; its standard error is then
-    within a tenth of that of all pairs. Pairs at one position do not count.
-    """
-    first, second = _pairs(len(values))
-    run = position[second] - position[first]
-    rise = values[second] - values[first]
-    apart = run > 0
-    return float(np.median(rise[apart] / run[apart]))
-
-
-@lru_cache(maxsize=16)
-def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Places of the points of each pair: all pairs, or as many as are worth their time."""
-    if n * (n - 1) // 2 <= MOST_PAIRS:
-        first, second = np.triu_indices(n, 1)
-    else:
-        # Distance d has n − d pairs, on average half of n.
-        several = 2 * MOST_PAIRS // n
-        distances = np.unique(((np.arange(several) + 0.5) * n / several).astype(np.intp))
-        first = np.concatenate([np.arange(n - distance) for distance in distances])
-        second = first + np.repeat(distances, n - distances)
-    # All indicators of all motors share these.
-    first.setflags(write=False)
-    second.setflags(write=False)
-    return first, second

@@ -92,13 +92,6 @@ def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
     return _triangular(np.pad(moved, ((0, 0), (0, 1), (0, 0))))
 
 
-def with_path_known(factors: Array, place: int, coefficient: float) -> Array:
-    """Factors with a path in the known flow: the inverse of :func:`with_free_known`."""
-    known = factors.copy()
-    known[:, :, -2] += coefficient * factors[:, :, place]
-    return _triangular(np.delete(known, place, axis=2))[:, : known.shape[2] - 1]
-
-
 def _require_finite(what: str, values: Array) -> None:
     if not np.isfinite(values).all():
         raise StatisticsError(

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from leakage.arrays import Array, Mask
+from leakage.arrays import Array
 from leakage.errors import ParameterError
 
 LITRES_PER_MINUTE = 60_000.0  # in 1 m³/s
@@ -159,10 +159,6 @@ class Law(ABC):
         `roughness_m` is R_a of the two surfaces, [m].
         """
         return ()
-
-    def is_beyond(self, speed_rpm: Array) -> Mask:
-        """Mask of |ω| outside the speeds for which the law holds, shape (n,)."""
-        return np.zeros(np.shape(speed_rpm), dtype=np.bool_)
 
     @property
     def is_free(self) -> bool:

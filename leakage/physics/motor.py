@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from leakage.arrays import Array, Mask
+from leakage.arrays import Array
 from leakage.errors import ParameterError
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.law import Side
@@ -223,15 +222,6 @@ def leakage_l_per_min(
     if motor.constant is not None:
         del flows[motor.constant.name]
     return sum(flows.values(), np.zeros(len(conditions)))
-
-
-def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> Mask:
-    """Mask of speeds outside the range for which a path's law holds, shape (n,)."""
-    speed = np.asarray(speed_rpm, dtype=np.float64)
-    beyond = np.zeros(speed.shape, dtype=np.bool_)
-    for path in motor.paths:
-        beyond |= path.is_beyond(speed)
-    return beyond
 
 
 def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[Side]]]:

@@ -17,7 +17,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from leakage.arrays import Array, Mask
+from leakage.arrays import Array
 from leakage.errors import ParameterError
 from leakage.physics.law import (
     LITRES_PER_MINUTE,
@@ -151,8 +151,7 @@ class SpeedCurve(Law):
 
     Notes
     -----
-    f holds over the range of its points only: outside, a quintic runs away. `is_beyond` counts
-    the samples there.
+    f holds over the range of its points only: outside, a quintic runs away.
 
     Examples
     --------
@@ -226,13 +225,6 @@ class SpeedCurve(Law):
             return ()
         raised = tuple(coefficient * (1 + share) for coefficient in self.coefficients)
         return (PathTolerance("curve", share, replace(self, coefficients=raised)),)
-
-    def is_beyond(self, speed_rpm: Array) -> Mask:
-        """Mask of |ω| outside the range of the curve's points, shape (n,)."""
-        speed = np.abs(speed_rpm)
-        beyond: Mask = speed > self.speed_maximum_rpm
-        beyond |= speed < self.speed_minimum_rpm
-        return beyond
 
     def regressor(self, side: Side) -> Array:
         r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.

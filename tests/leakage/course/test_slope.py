@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import t as student_t
-from scipy.stats import theilslopes
 
 from leakage.course.slope import (
     correlation_to_previous,
     estimated_phi,
     fit_slope,
-    theil_sen,
     variance_of_mean,
     whitened,
 )
@@ -41,29 +39,6 @@ def test_it_equals_generalised_least_squares_with_the_whole_covariance(missing: 
     assert found.slope == pytest.approx(line[1], rel=1e-9)
     half = student_t.ppf(0.975, len(nights) - 3) * np.sqrt(covariance[1, 1])
     assert [found.lower, found.upper] == pytest.approx([line[1] - half, line[1] + half])
-    t = abs(line[1]) / np.sqrt(covariance[1, 1])
-    assert found.p_value == pytest.approx(2 * student_t.sf(t, len(nights) - 3))
-
-
-@pytest.mark.parametrize("n", [2, 20, 150, 200])
-def test_theil_sens_slope_is_scipys_up_to_two_hundred_points(n: int) -> None:
-    generator = np.random.default_rng(n)
-    x = np.sort(generator.uniform(0, 50, n))
-    y = generator.standard_normal(n)
-    assert theil_sen(x, y) == pytest.approx(theilslopes(y, x)[0], rel=1e-12)
-
-
-def test_theil_sens_slope_of_ten_years_is_as_good_as_that_of_all_pairs() -> None:
-    """All pairs are 2.3 % less efficient than least squares under normal errors (Sen 1968)."""
-    generator = np.random.default_rng(4)
-    x = np.arange(3650.0)
-    centred = x - x.mean()
-    found, best = [], []
-    for _ in range(200):
-        y = generator.standard_normal(3650)
-        found.append(theil_sen(x, y))
-        best.append(centred @ y / (centred @ centred))
-    assert np.std(found) / np.std(best) < 1.2
 
 
 @pytest.mark.parametrize(
@@ -89,10 +64,10 @@ def test_status_goes_by_the_nights_that_count(n: int, missing: int, status: str)
 def test_series_without_scatter_or_span_are_told_so() -> None:
     nights = np.arange(30)
     constant = fit_slope(nights, np.full(30, 1.37))
-    assert (constant.status, constant.p_value, constant.lower) == ("no_scatter", None, None)
+    assert (constant.status, constant.lower, constant.upper) == ("no_scatter", None, None)
     assert constant.slope == pytest.approx(0.0, abs=1e-12)
     line = fit_slope(nights, 2.0 + 0.5 * nights)
-    assert (line.status, line.theil_sen) == ("no_scatter", 0.5)
+    assert (line.status, line.slope) == ("no_scatter", pytest.approx(0.5))
     # The mean of so many times 0.1 is not 0.1 to the last bit.
     still = fit_slope(nights, np.arange(30.0), position=np.full(30, 0.1))
     assert (still.status, still.slope) == ("no_span", None)

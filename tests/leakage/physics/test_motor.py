@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from leakage.errors import ParameterError, ShapeError, ValidityError
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.law import Parameter
-from leakage.physics.motor import Motor, regressors, speed_beyond_curve, total_flow_l_per_min
+from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import (
     FilmPressure,
     Oil,
@@ -106,14 +106,6 @@ def test_nan_stays_in_its_row_and_in_what_depends_on_it() -> None:
         [True, True, True, False, True],
         [False, False, False, False, True],
     ]
-
-
-def test_samples_beyond_the_curve_are_counted_on_both_sides() -> None:
-    speed = np.array([0.0, 125.0, -125.0, 125.1, -130.0])
-    beyond = speed_beyond_curve(placeholder_motor(), speed).tolist()
-    assert beyond == [False, False, False, True, True]
-    without_roller = Motor("ring", (piston_ring(),), placeholder_oil())
-    assert not speed_beyond_curve(without_roller, speed).any()
 
 
 def test_a_standard_can_be_freed() -> None:
