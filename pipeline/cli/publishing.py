@@ -137,7 +137,7 @@ def prune(
     from pipeline.store.locks import locked
     from pipeline.store.retention import old_files, require_prunable
     from pipeline.store.retention import prune as remove
-    from pipeline.store.state import open_state
+    from pipeline.store.state import open_state, read_state_file
     from pipeline.store.tables import existing_tables
 
     fleet = load(config, output, None, logs=False)
@@ -145,7 +145,8 @@ def prune(
     named = tables.replace(",", " ").split()
     require_prunable(named)
     kept = dict.fromkeys(named, keep)
-    newest_night = newest_of_fleet(fleet, now())
+    with read_state_file(fleet.output) as state:
+        newest_night = newest_of_fleet(fleet, state, now())
     old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
     if yes and old:
         with locked(fleet.output), open_state(fleet.output) as state:

@@ -10,15 +10,18 @@ import datetime as dt
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
+
+import polars as pl
 
 from pipeline.clock import IN_FUTURE
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import DRAIN_DELAY, ROLLER
 from pipeline.messages import counted
+from pipeline.schema import NIGHTS, TIMESTAMP
 from pipeline.schema.fits import OK
 from pipeline.store.state import State
 from pipeline.workers.process import still_alive
@@ -28,6 +31,11 @@ Value = TypeVar("Value")
 
 # What is said of a published night whose logs are archived.
 GONE = "its logs are gone"
+# Values of a stored row that are times, from their text.
+OF_TIME: Mapping[Any, Callable[[str], dt.date]] = {
+    pl.Date: dt.date.fromisoformat,
+    TIMESTAMP: dt.datetime.fromisoformat,
+}
 # Read at a time for the hash of a file.
 PIECE_BYTES = 1 << 20
 
@@ -89,6 +97,8 @@ class NightRecord:
     # stays: why it stays as published although its logs or settings are others; empty otherwise.
     stays: str = ""
     refused: str = ""  # hashes of settings for which it could not be made anew
+    # Columns of `nights` that the night itself fills, until they are published with its trends.
+    row: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +152,7 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
         label, tells = dt.date.fromisoformat(row.pop("night")), row["tells_roller"]
         row["logs"] = tuple(row["logs"].split())
         row["tells_roller"] = None if tells is None else tells == 1
+        row["row"] = row["row"] and _row_of(motor_id, label, row["row"])
         nights[label] = NightRecord(**row)
     return ProcessedLogs(files, nights, json.loads(settings[0][0]))
 
@@ -181,7 +192,33 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
 
 def _stored(value: Any) -> Any:
     """A value of a record as its column has it."""
+    if isinstance(value, Mapping):
+        return json.dumps(value, default=dt.date.isoformat)
     return " ".join(value) if isinstance(value, tuple) else value
+
+
+def _row_of(motor_id: str, night: dt.date, text: str) -> dict[str, Any]:
+    """A night's own columns of `nights`, as they were before they were stored."""
+    row: dict[str, Any] = json.loads(text) | {"motor_id": motor_id, "night": str(night)}
+    for name, value in row.items():
+        if value is not None and NIGHTS.schema[name] in OF_TIME:
+            row[name] = OF_TIME[NIGHTS.schema[name]](value)
+    return row
+
+
+def unpublished_rows(state: State, motor_id: str) -> dict[dt.date, dict[str, Any]]:
+    """Rows of a motor's nights, as far as the nights fill them, whose trends are still to come."""
+    rows = state.rows(
+        "SELECT night, row FROM nights WHERE motor_id = ? AND row IS NOT NULL", motor_id
+    )
+    labels = ((dt.date.fromisoformat(label), text) for label, text in rows)
+    return {label: _row_of(motor_id, label, text) for label, text in labels}
+
+
+def note_published(state: State, motor_id: str, last: dt.date) -> None:
+    """Note that a motor's nights up to the last one are in `nights`; raises StoreError."""
+    change = "UPDATE nights SET row = NULL WHERE motor_id = ? AND night <= ? AND row IS NOT NULL"
+    state.write(change, motor_id, str(last))
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:

@@ -30,6 +30,7 @@ from pipeline.run.publishing import (
     config_hash_of,
     make_trends,
     publish_motors,
+    publish_other_nights,
     publish_run,
     publish_trends,
     publish_whole_tables,
@@ -180,6 +181,8 @@ def _run(
             is_stopped = True
     with interrupts_held() as came:
         alarms = publish_trends(publisher, trends)
+        if not is_stopped:
+            publish_other_nights(publisher, [one.motor_id for one in outcomes])
         publish_whole_tables(publisher, fleet)
         failures = {motor_id: loss for trend in trends for motor_id, loss in trend.failures.items()}
         outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]

@@ -88,7 +88,10 @@ class _Making(MotorNights):
     def __init__(self, task: MotorTask) -> None:
         super().__init__(task)
         self.lost_nights = task.lost_nights
-        self.stored = StoredNights(task.output, self.spec.motor_id)
+        unpublished = {
+            label: dict(record.row) for label, record in self.nights_before.items() if record.row
+        }
+        self.stored = StoredNights(task.output, self.spec.motor_id, unpublished)
         self.findings: tuple[str, ...] = ()
 
     def run(self) -> MotorOutcome:
@@ -115,7 +118,7 @@ class _Making(MotorNights):
         for label in self.holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
-            self.records[label] = NightRecord(NO_NEW_DATA)
+            self.records[label] = NightRecord(NO_NEW_DATA, row=self.done[label].rows["nights"][0])
         sign_of_life("")
         with self.timed("store_s"):
             self._stage()
@@ -141,6 +144,7 @@ class _Making(MotorNights):
             _tells_roller(outcome),
             self.logs.contents_of(label) if before is None else before.logs,
             "" if before is None else before.stays,
+            row=outcome.rows["nights"][0],
         )
 
     def _night(self, label: dt.date, step: Step) -> NightOutcome | None:
@@ -271,9 +275,9 @@ class _Making(MotorNights):
         begins = (event.date for event in self.spec.file.baseline_events if event.date <= label)
         since = max(begins, default=dt.date.min)
         nights = [
-            one
-            for one, record in sorted(self.records.items())
-            if since <= one < label and record.status == OK
+            night
+            for night, record in sorted(self.records.items())
+            if since <= night < label and record.status == OK
         ][-USUAL_NIGHTS:]
         return usual_readings(self._rows_of(nights, NIGHTS, tuple(COLUMNS.values())))
 
@@ -281,8 +285,14 @@ class _Making(MotorNights):
         self, nights: Collection[dt.date], table: Table, columns: tuple[str, ...]
     ) -> list[Row]:
         """Rows of some nights, as this run made them or as they are published."""
-        made = [night for night in nights if night in self.done and self.done[night].tables is None]
-        rows = [row for night in made for row in self.done[night].rows[table.name]]
+        made = {
+            night: self.done[night].rows[table.name]
+            for night in nights
+            if night in self.done and self.done[night].tables is None
+        }
+        if table is NIGHTS:
+            made |= {night: [dict(row)] for night in nights if (row := self.records[night].row)}
+        rows = [row for night in made for row in made[night]]
         if published := set(nights).difference(made):
             motor_ids, wanted = [self.spec.motor_id], ("night", *columns)
             rows += read_rows(self.task.output, table, motor_ids, wanted, published).to_dicts()

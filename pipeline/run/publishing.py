@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, own_version
 from pipeline.config.nights import DAY, night_of
 from pipeline.errors import StoreError
-from pipeline.logs.processed import write_change
+from pipeline.logs.processed import note_published, unpublished_rows, write_change
 from pipeline.notification.outbox import pass_over
 from pipeline.run.tasks import MotorOutcome, RunRequest, RunResult
 from pipeline.schema import (
@@ -26,6 +26,7 @@ from pipeline.schema import (
     DATA_DICTIONARY,
     LATEST,
     NIGHT_TABLES,
+    NIGHTS,
     RUN_MOTORS,
     RUNS,
     SCHEMA_VERSION,
@@ -33,13 +34,14 @@ from pipeline.schema import (
     data_dictionary,
     frame,
 )
-from pipeline.store.publishing import Publisher
+from pipeline.store.publishing import Publisher, stage, staged_file
 from pipeline.store.state import State
-from pipeline.store.tables import read_table, whole_file
+from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import note_touched, write_record
 from pipeline.trends.rows.motor_states import REMOVED, is_confirmed, latest_rows
+from pipeline.trends.rows.night_rows import CARRIED, in_state_before
 from pipeline.trends.tasks import (
     NewestNight,
     TrendOutcome,
@@ -96,7 +98,7 @@ def make_trends(
 ) -> list[TrendOutcome]:
     """Stage the trends of a run's motors, given the first night with new rows of each, or None."""
     try:
-        newest_night = newest_of_fleet(fleet, clock)
+        newest_night = newest_of_fleet(fleet, publisher.state, clock)
     except StoreError as error:
         loss = Loss(error.code, error.message)
         return [TrendOutcome(failures=dict.fromkeys(changed, loss))]
@@ -124,11 +126,11 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     return stage.run_trends(task)
 
 
-def newest_of_fleet(fleet: Fleet, clock: dt.datetime) -> NewestNight | None:
+def newest_of_fleet(fleet: Fleet, state: State, clock: dt.datetime) -> NewestNight | None:
     """Newest night, as `newest_night_of`; of a fleet that is silent the last by a run's clock."""
     nights = fleet.settings.nights
     latest = night_of(latest_us(clock), nights)
-    newest = newest_night_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+    newest = newest_night_of(state, [spec.motor_id for spec in fleet.motors], latest)
     ended = night_of(microseconds(clock), nights) - DAY
     if newest is not None and fleet.is_live and ended - newest.night > fleet.stale_after:
         further = {name: night for name, night in newest.further.items() if night > ended}
@@ -145,6 +147,7 @@ def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[M
         for motor_id, record in records.items():
             kept = kept_file(publisher.staging, motor_id).read_bytes()
             write_record(state, motor_id, record, kept)
+            note_published(state, motor_id, record.last_night)
         if records:
             state.set_meta("latest", "")
         pass_over(state, {name for one in made for name in one.silent})
@@ -152,6 +155,33 @@ def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[M
     publisher.nights("trends", TREND_TABLES, sorted(records), published)
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
+
+
+def publish_other_nights(publisher: Publisher, motor_ids: Iterable[str]) -> None:
+    """Publish nights that no trends were made of, in the state that was in force before them.
+
+    They lie after the fleet's newest night with samples, or are of a motor whose trends failed.
+    """
+    state = publisher.state
+    unpublished = {name: nights for name in motor_ids if (nights := unpublished_rows(state, name))}
+    if not unpublished:
+        return
+    try:
+        published = read_rows(state.output, NIGHTS, [*unpublished], ("motor_id", "night", *CARRIED))
+    except StoreError as error:
+        log.warning("%s; the next run publishes the nights without trends", error)
+        return
+    for name, nights in unpublished.items():
+        before = published.filter(motor_id=name).sort("night")
+        rows = {night: [in_state_before(row, before)] for night, row in nights.items()}
+        stage(staged_file(publisher.staging / "nights", name), {NIGHTS: rows})
+
+    def note() -> None:
+        for name in unpublished:
+            note_published(state, name, dt.date.max)
+        state.set_meta("latest", "")
+
+    publisher.nights("nights", [NIGHTS], [*unpublished], note)
 
 
 def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:

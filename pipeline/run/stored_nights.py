@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import FROM_TABLES, PublishedNight
+from pipeline.night.rows import Row
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCKS, FITS, NIGHTS, PARAMETERS, Table
+from pipeline.schema import BLOCKS, FITS, NIGHTS, OF_NIGHT, PARAMETERS, Table
 from pipeline.schema.fits import OK
 from pipeline.store.published import TABLE_OF
 from pipeline.store.tables import days_of, read_rows
@@ -23,11 +23,12 @@ log = logging.getLogger(__name__)
 
 
 class StoredNights:
-    """The published nights of a motor."""
+    """The published nights of a motor; `unpublished` has own rows of nights without trends yet."""
 
-    def __init__(self, output: Path, motor_id: str) -> None:
+    def __init__(self, output: Path, motor_id: str, unpublished: Mapping[dt.date, Row]) -> None:
         self._output = output
         self._motor_id = motor_id
+        self._unpublished = unpublished
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
@@ -36,7 +37,7 @@ class StoredNights:
         rows = self.rows(label, (NIGHTS, FITS, PARAMETERS))
         return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
 
-    def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[dict[str, Any]]]:
+    def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[Row]]:
         """Rows of a night by table."""
         return {table.name: self._rows(table, label) for table in tables}
 
@@ -45,8 +46,10 @@ class StoredNights:
         rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
         return PublishedNight(label, rows, self._of_night(BLOCKS, label))
 
-    def _rows(self, table: Table, label: dt.date) -> list[dict[str, Any]]:
+    def _rows(self, table: Table, label: dt.date) -> list[Row]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""
+        if table is NIGHTS and label in self._unpublished:
+            return [dict(self._unpublished[label])]
         rows = self._of_night(table, label)
         return [] if rows is None else rows.to_dicts()
 
@@ -60,7 +63,7 @@ class StoredNights:
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
         every = tuple(name for name in table.schema if name != "run_id")
-        columns = BLOCK_COLUMNS if table is BLOCKS else every
+        columns = {BLOCKS: BLOCK_COLUMNS, NIGHTS: OF_NIGHT}.get(table, every)
         try:
             rows = read_rows(self._output, table, [self._motor_id], columns, days_of(month))
         except StoreError as error:

@@ -144,7 +144,6 @@ ALARM_CONTENT = ("from_state", "to_state", "cause", "sentence", "closed_as")
 
 # A redone night of a motor replaces that motor's rows in each of them.
 NIGHT_TABLES = (
-    NIGHTS,
     FITS,
     PARAMETERS,
     ERROR_BUDGET,
@@ -154,7 +153,7 @@ NIGHT_TABLES = (
     BLOCKS,
     LOG_FILES,
 )
-# The same, made from the tables above after all motors are done; `nights` is completed.
+# The same, made from the tables above and the nights' own rows after all motors are done.
 TREND_TABLES = (NIGHTS, TRENDS, ALARMS)
 # One file a night, as many rows are rewritten; of all others but those below one file a month.
 NIGHTLY_TABLES = (PREDICTIONS, BLOCKS, RESIDUAL_TESTS)
@@ -163,7 +162,7 @@ WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
 TABLES = (
     NIGHTS,
     LATEST,
-    *NIGHT_TABLES[1:-1],
+    *NIGHT_TABLES[:-1],
     *TREND_TABLES[1:],
     INTRADAY,
     DECISIONS,

@@ -20,13 +20,14 @@ from math import ceil
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.schema import NIGHT_TABLES, NIGHTS, TABLES, TREND_TABLES
 from pipeline.store.atomic_files import move
 from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
 from pipeline.store.tables import ENDING, MONTH_PREFIX, days_of, files_of, from_parquet, name_of
 
 TABLE_OF = {table.name: table for table in TABLES}
-OF_MOTORS = {table.name for table in NIGHT_TABLES}
+# A night's own part of `nights` is of its motor's task.
+OF_MOTORS = {table.name for table in (NIGHTS, *NIGHT_TABLES)}
 OF_TRENDS = {table.name for table in TREND_TABLES}
 # Stands for no file where a digest is expected.
 NO_FILE = ""

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 STATE_FILE = "state.db"
 STATE_FILES = (STATE_FILE, f"{STATE_FILE}-wal", f"{STATE_FILE}-shm")
 # Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
-VERSION = 3
+VERSION = 4
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
 OUTPUT = ("tables", "report", "views.sql", *STATE_FILES[::-1])
 # Of `meta`: start of the last run.
@@ -47,7 +47,7 @@ CREATE TABLE logs (
 CREATE TABLE nights (
     motor_id TEXT NOT NULL REFERENCES motors, night TEXT NOT NULL, status TEXT NOT NULL,
     statistics_hash TEXT NOT NULL, figures_hash TEXT NOT NULL, tells_roller INTEGER,
-    logs TEXT NOT NULL, stays TEXT NOT NULL, refused TEXT NOT NULL,
+    logs TEXT NOT NULL, stays TEXT NOT NULL, refused TEXT NOT NULL, row TEXT,
     PRIMARY KEY (motor_id, night)
 ) WITHOUT ROWID;
 CREATE TABLE files (

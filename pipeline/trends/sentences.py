@@ -54,6 +54,7 @@ CAUSES = {
     "a_part": "a part of the motor",
     "flushing": "the flushing",
 }
+WAIT = "Wait for more nights."
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 ADVICE = {
     "all_flows": "Take an oil sample, and check the flow meter's zero at a halt.",
@@ -180,7 +181,7 @@ def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
         return _advice_on(night, night.change)
     if drifts:
         return CHECK_ZERO
-    return "Wait for more nights." if night.state == "insufficient" else "Nothing to do."
+    return WAIT if night.state == "insufficient" else "Nothing to do."
 
 
 def _advice_on(night: JudgedNight, change: Change) -> str:

@@ -56,7 +56,8 @@ def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
             kept = decoded(task.kept.get(motor_id))
             if kept and (kept.key, kept.last_night) != (key_of(spec, said), record.last_night):
                 kept = None
-        found.append(Wanted(spec, said, kept, *spans[motor_id]))
+        unpublished = task.unpublished.get(motor_id, {})
+        found.append(Wanted(spec, said, kept, *spans[motor_id], unpublished))
     return found
 
 
@@ -104,7 +105,7 @@ def _run_circuit(
     for name, trends in made.items():
         found = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
         if found is not None:
-            done.nights[name], done.records[name], new, told = found
+            done.records[name], new, told = found
             done.alarms.extend(told)
             done.silent.extend(row["id"] for row in new if row not in told)
 
@@ -130,10 +131,10 @@ def _tell(
 
 def _stage_motor(
     task: TrendTask, circuit: Circuit, trends: MadeTrends
-) -> tuple[int, Record, list[Row], list[Row]] | None:
+) -> tuple[Record, list[Row], list[Row]] | None:
     """Stage a motor's rows and what is kept.
 
-    Number of nights, its record, new alarms, and those of them that people are notified of.
+    Its record, new alarms, and those of them that people are notified of.
     """
     history = trends.course.nights.history
     spec, labels = history.spec, trends.nights
@@ -155,4 +156,4 @@ def _stage_motor(
     published = trends.course.nights.alarms
     new = new_rows(rows[ALARMS], published)
     last_night = dt.date.min if before is None else before.last_night
-    return len(labels), record, new, without_past(rows[ALARMS], new, published, last_night)
+    return record, new, without_past(rows[ALARMS], new, published, last_night)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from heapq import merge
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from pipeline.config import MotorSpec
-from pipeline.logs.processed import as_published, read_settings, read_stays
+from pipeline.logs.processed import (
+    as_published,
+    read_settings,
+    read_stays,
+    unpublished_rows,
+)
 from pipeline.schema import NIGHTS
 from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
@@ -122,18 +127,26 @@ class NewestNight:
         return self.further.get(motor_id, self.night)
 
 
-def newest_night_of(output: Path, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
-    """Newest night by the published tables; None where no motor has kept a sample.
+def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
+    """Newest night, be its row published or not; None where no motor has kept a sample.
 
     A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
     in the newest night: it would make every other motor silent since."""
     further: dict[str, dt.date] = {}
     columns = ("motor_id", "status", "last_sample")
-    for night in nights_back(output, NIGHTS):
-        rows = read_rows(output, NIGHTS, motor_ids, columns, nights=[night])
-        for motor_id in rows.filter(pl.col("status").is_in(WITH_SAMPLES))["motor_id"]:
-            further.setdefault(motor_id, night)
-        if night <= latest and rows["last_sample"].is_not_null().any():
+    unpublished: defaultdict[dt.date, dict[str, tuple[Any, ...]]] = defaultdict(dict)
+    for motor_id in motor_ids:
+        for night, row in unpublished_rows(state, motor_id).items():
+            unpublished[night][motor_id] = row["status"], row["last_sample"]
+    published = nights_back(state.output, NIGHTS)
+    nights = merge(published, sorted(unpublished, reverse=True), reverse=True)
+    for night, _ in groupby(nights):
+        found = read_rows(state.output, NIGHTS, motor_ids, columns, nights=[night]).rows()
+        rows = {motor_id: tuple(row) for motor_id, *row in found} | unpublished[night]
+        for motor_id, (status, _) in rows.items():
+            if status in WITH_SAMPLES:
+                further.setdefault(motor_id, night)
+        if night <= latest and any(last_sample for _, last_sample in rows.values()):
             return NewestNight(night, further)
     return None
 
@@ -153,6 +166,8 @@ class TrendTask:
     changed_from: Mapping[str, dt.date | None]
     newest_night: NewestNight
     kept: Mapping[str, bytes | None] = field(default_factory=dict)
+    # By motor, rows of nights as far as these fill them, which are not in `nights` yet.
+    unpublished: Mapping[str, Mapping[dt.date, Row]] = field(default_factory=dict)
     # By motor, why nights stay as published.
     stays: Mapping[str, Mapping[dt.date, str]] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
@@ -168,14 +183,13 @@ class TrendTask:
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """By motor: number of staged nights, failures, and of each with nights its record.
+    """By motor: failures, and of each with nights its record.
 
     What is to be kept of a motor is staged beside its rows.
 
     `alarms` are the new rows of `alarms` that people are notified of, `silent` the ids of others.
     """
 
-    nights: dict[str, int] = field(default_factory=dict)
     failures: dict[str, Loss] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
@@ -190,8 +204,12 @@ def trend_tasks(
     newest_night: NewestNight,
     decisions: tuple[Decision, ...],
     motors_a_task: int,
-) -> list[TrendTask]:
-    """Tasks of whole circuits with nights to be made, of about so many motors each."""
+) -> Iterator[TrendTask]:
+    """Tasks of whole circuits with nights to be made, of about so many motors each.
+
+    What a task needs of the state file is read when it is drawn: together it may not fit into the
+    memory.
+    """
     records, settings = read_records(state), read_settings(state)
     stays, _ = read_stays(state, records.keys())
     batches: list[list[Circuit]] = [[]]
@@ -203,19 +221,18 @@ def trend_tasks(
             if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)
-    return [
-        TrendTask(
+    for batch in filter(None, batches):
+        names = [name for circuit in batch for name in circuit.records]
+        yield TrendTask(
             tuple(batch),
             state.output,
             staging,
             changed_from,
             newest_night,
-            {name: read_kept(state, name) for circuit in batch for name in circuit.records},
-            {name: stays.get(name, {}) for circuit in batch for name in circuit.records},
+            {name: read_kept(state, name) for name in names},
+            {name: unpublished_rows(state, name) for name in names},
+            {name: stays.get(name, {}) for name in names},
         )
-        for batch in batches
-        if batch
-    ]
 
 
 def kept_file(staging: Path, motor_id: str) -> Path:

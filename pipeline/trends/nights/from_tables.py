@@ -77,6 +77,8 @@ class Wanted:
     kept: Kept | None
     first: dt.date | None
     until: dt.date
+    # Rows of nights as far as these fill them, which are not in `nights` yet.
+    unpublished: Mapping[dt.date, Row] = field(default_factory=dict)
 
     @property
     def rows_from(self) -> dt.date:
@@ -199,6 +201,10 @@ class _Rows:
         made_from = {one.spec.motor_id: one.first for one in wanted if one.first is not None}
         for row in _rows_since(output, NIGHTS, OF_NIGHT, read_from):
             self.nights[row["motor_id"]][row["night"]] = row
+        for one in wanted:
+            self.nights[one.spec.motor_id] |= {
+                night: row for night, row in one.unpublished.items() if night >= one.rows_from
+            }
         for row in _rows_since(output, FITS, FIT_COLUMNS, models_from):
             if row["is_primary"]:
                 self.fits[row["motor_id"]][row["night"]] = row

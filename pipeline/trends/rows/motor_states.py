@@ -16,7 +16,7 @@ from pipeline.schema import ALARMS, LATEST, NIGHTS
 from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
 from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.trends.nights.decisions import SENSORS, Decision, read_decisions
-from pipeline.trends.sentences import change_of, headline, limit_dates
+from pipeline.trends.sentences import WAIT, change_of, headline, limit_dates
 
 Row = dict[str, Any]
 
@@ -213,8 +213,6 @@ def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()
         if name in last:
             of_data = data.get(name, {})
             row |= of_data | {key: one for key, one in last[name].items() if one is not None}
-            row["state"] = row["state"] or "insufficient"
-            row["sentence"] = row["sentence"] or "no trends yet"
             row["sensor_health"] = sensors.get(name, "unknown")
             if of_data and newest is not None:
                 row["data_age_nights"] = (newest - of_data["night"]).days
@@ -273,7 +271,7 @@ def _unknown(motor_id: str) -> Row:
         "motor_id": motor_id,
         "state": "insufficient",
         "sentence": "no night yet",
-        "advice": "Wait for more nights.",
+        "advice": WAIT,
     }
 
 

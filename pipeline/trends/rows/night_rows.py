@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
-from pipeline.trends.sentences import advice, sentence
+from pipeline.schema import NIGHTS
+from pipeline.trends.sentences import WAIT, advice, sentence
 
 if TYPE_CHECKING:
     from leakage.watch import Change, Estimate
@@ -20,6 +22,20 @@ Row = dict[str, Any]
 
 # A night is short that has less than this share of the short ones of the last nights before.
 SHORT, NIGHTS_COMPARED, FEWEST_COMPARED = 0.8, 14, 5
+
+
+# What is said of a motor, and stays in force in a night of which no trends are made.
+CARRIED = (
+    *(column.name for column in NIGHTS.columns if column.group in ("state", "baseline")),
+    *("sentence", "advice"),
+)
+NO_TRENDS: Row = {"state": "insufficient", "sentence": "no trends yet", "advice": WAIT}
+
+
+def in_state_before(row: Row, published: pl.DataFrame) -> Row:
+    """A night's own row in the state of its motor, given the rows published so far, in order."""
+    before = published.filter(pl.col("night") <= row["night"]).select(CARRIED)
+    return row | (before.row(-1, named=True) if before.height else NO_TRENDS)
 
 
 def state_columns(

@@ -17,7 +17,7 @@ import pytest
 import pipeline.run.motor_task
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunResult
-from pipeline.schema import LATEST, NIGHTS, OF_TRENDS, TABLES, TREND_TABLES, Table
+from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.store.published import verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
@@ -118,9 +118,6 @@ def same(one: pl.DataFrame | None, two: pl.DataFrame | None) -> bool:
     return one.equals(two, null_equal=True)
 
 
-_NO_TRENDS = [pl.lit(None, NIGHTS.schema[name]).alias(name) for name in OF_TRENDS]
-
-
 def check_old_or_new(output: Path, old: Path, new: Path, failed: Collection[str] = ()) -> None:
     """Every table file is whole, as it was or as it comes to be, and provable; no key twice.
 
@@ -132,13 +129,10 @@ def check_old_or_new(output: Path, old: Path, new: Path, failed: Collection[str]
         table = name.split("/")[0]
         if table in demo_runs.OF_RUNS:
             continue
-        for motor in MOTORS if failed or table == NIGHTS.name else (None,):
+        for motor in MOTORS if failed else (None,):
             if motor in failed and table in {one.name for one in (*TREND_TABLES, LATEST)}:
                 continue
             states = [_of_motor(state.get(name), motor) for state in (now, before, after)]
-            if table == NIGHTS.name and states[2] is not None:
-                # The task's part of a night comes first, what all nights say of it in the end.
-                states.append(states[2].with_columns(_NO_TRENDS))
             assert any(same(states[0], one) for one in states[1:]), name
     assert list(verify_tables(output)) == []
     for table in TABLES:
