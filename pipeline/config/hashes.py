@@ -32,7 +32,8 @@ STATISTICS_VERSION = 3
 FIGURES_VERSION = 6
 
 ALL = ~Stage.NOTHING
-# Keys of a motor whose rollers' scale is free, and of its drain flow's delay once it is decided.
+# Keys of what a motor's nights decided of it: on the scale of its rollers, beside its settings, and
+# on its drain flow's delay.
 ROLLER, DRAIN_DELAY = "roller", "drain_delay_s"
 # Of changed settings, so many are named.
 SETTINGS_NAMED = 4
@@ -141,7 +142,6 @@ def settings_of(spec: MotorSpec) -> dict[str, Any]:
         "versions": dict(zip(("reading", "statistics", "figures"), versions, strict=True)),
         "nights": shaping(spec, ALL & ~Stage.TRENDS),
         "trends": shaping(spec, Stage.TRENDS),
-        **({ROLLER: "free"} if spec.roller_is_free else {}),
         **({} if spec.drain_delay_s is None else {DRAIN_DELAY: spec.drain_delay_s}),
     }
     found: dict[str, Any] = json.loads(json.dumps(document, default=str))

@@ -91,8 +91,8 @@ class NightRecord:
     # made from them; empty without any.
     statistics_hash: str = ""
     figures_hash: str = ""
-    # Whether it tells the scale of the rollers' curve; None without a fit, or such a curve.
-    tells_roller: bool | None = None
+    # Whether it identifies the scale of the rollers' curve; None without a fit, or such a curve.
+    roller_identified: bool | None = None
     logs: tuple[str, ...] = ()  # hashes of the contents that it was made from, cut short
     # stays: why it stays as published although its logs or settings are others; empty otherwise.
     stays: str = ""
@@ -108,7 +108,9 @@ class ProcessedLogs:
     # By path relative to the log root.
     files: Mapping[str, FileRecord] = field(default_factory=dict)
     nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)  # by label
-    settings: Mapping[str, Any] | None = None  # as `settings_of`; None before the first run
+    # settings: as `settings_of`, with what was decided on the scale of the rollers; None before the
+    # first run.
+    settings: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +151,9 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
     for row in _rows(state, "logs", _LOG_COLUMNS, motor_id):
         files[row["path"]] = FileRecord(**row | {"nights": tuple(row["nights"].split())})
     for row in _rows(state, "nights", _NIGHT_COLUMNS, motor_id):
-        label, tells = dt.date.fromisoformat(row.pop("night")), row["tells_roller"]
+        label, identified = dt.date.fromisoformat(row.pop("night")), row["roller_identified"]
         row["logs"] = tuple(row["logs"].split())
-        row["tells_roller"] = None if tells is None else tells == 1
+        row["roller_identified"] = None if identified is None else identified == 1
         row["row"] = row["row"] and _row_of(motor_id, label, row["row"])
         nights[label] = NightRecord(**row)
     return ProcessedLogs(files, nights, json.loads(settings[0][0]))
@@ -222,9 +224,10 @@ def note_published(state: State, motor_id: str, last: dt.date) -> None:
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
-    """A motor in the form of its fits that its last run's settings have."""
+    """A motor as its nights decided, by what its last run left beside its settings."""
     known = settings or {}
-    return spec.decided(known.get(DRAIN_DELAY), roller_is_free=ROLLER in known)
+    is_free = bool(known.get(ROLLER, {}).get("is_free"))
+    return spec.decided(known.get(DRAIN_DELAY), roller_is_free=is_free)
 
 
 def read_settings(state: State) -> dict[str, dict[str, Any]]:

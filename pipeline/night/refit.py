@@ -89,23 +89,18 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
     return NightOutcome(night.label, OK, None, None, rows, tables=tuple(rows))
 
 
-def refit_in_form(
-    spec: MotorSpec, outcome: NightOutcome, published: PublishedNight | None
-) -> NightOutcome | None:
-    """A night's outcome in another form: with the rollers' scale estimated, or as stated.
+def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
+    """Fit a night anew that was just read, for another scale of the rollers.
 
-    `spec` has the form, `published` the rows of a night that was not read. What needs samples
-    stays. None where the rows do not suffice.
+    What needs samples stays; so does all where the night has no fit, or its rows do not suffice.
     """
-    rows = outcome.rows
-    if published is None:
-        kinds = {one: BLOCKS.schema[one] for one in BLOCK_COLUMNS}
-        published = PublishedNight(outcome.night, {}, pl.DataFrame(rows["blocks"], kinds))
-    made = refit(spec, replace(published, rows={**published.rows, **rows}))
-    if made is None:
-        return None
-    tables = outcome.tables and tuple(dict.fromkeys((*outcome.tables, *(made.tables or ()))))
-    return replace(outcome, rows={**rows, **made.rows}, tables=tables)
+    if outcome.status != OK:
+        return outcome
+    blocks = pl.DataFrame(
+        outcome.rows["blocks"], {name: BLOCKS.schema[name] for name in BLOCK_COLUMNS}
+    )
+    made = refit(spec, PublishedNight(outcome.night, outcome.rows, blocks))
+    return outcome if made is None else replace(outcome, rows={**outcome.rows, **made.rows})
 
 
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:

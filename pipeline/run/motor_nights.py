@@ -12,12 +12,11 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pipeline.config.hashes import SettingsHashes, settings_of, why_anew
+from pipeline.config.hashes import ROLLER, SettingsHashes, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
@@ -46,10 +45,9 @@ if TYPE_CHECKING:
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
-# Nights that decide on the scale of the rollers.
-FIRST_NIGHTS = 15
-# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
-MOST = 0.8
+# First nights of a baseline that decide on the scale of the rollers, and the part of them that has
+# to identify it: later nights are like most of them.
+ROLLER_NIGHTS, MOST = 15, 0.8
 
 
 def peak_memory_mib() -> float:
@@ -72,21 +70,22 @@ def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
     return ProcessedLogs(files, nights)
 
 
-def is_roller_free(
-    tells: Mapping[dt.date, bool | None], begins: Sequence[dt.date], needed: int
-) -> bool:
-    """Decide by the first nights of the latest stretch that has enough: it is frozen with them.
+def roller_decision(
+    identified: Mapping[dt.date, bool | None], begins: Sequence[dt.date]
+) -> dict[str, Any] | None:
+    """Return what the first nights of the latest baseline with enough say of the rollers' scale.
 
-    `tells` says by night whether it tells the scale, None without a fit; `begins` are the dates of
-    the events that begin a baseline, and so many nights with a fit as are `needed` decide.
+    `identified` says by night whether it identifies the scale, None without a fit; `begins` are the
+    dates of the events that begin a baseline. None where no baseline has its nights.
     """
     borders = sorted({dt.date.min, *begins, dt.date.max})
     for begin, end in reversed(list(pairwise(borders))):
-        nights = sorted(label for label in tells if begin <= label < end)
-        first = [tells[label] for label in nights if tells[label] is not None][:needed]
-        if len(first) == needed:
-            return sum(map(bool, first)) >= MOST * needed
-    return False
+        nights = sorted(label for label in identified if begin <= label < end)
+        first = [identified[label] for label in nights if identified[label] is not None]
+        first = first[:ROLLER_NIGHTS]
+        if len(first) == ROLLER_NIGHTS:
+            return {"since": str(begin), "is_free": sum(map(bool, first)) >= MOST * len(first)}
+    return None
 
 
 class MotorNights:
@@ -109,11 +108,11 @@ class MotorNights:
             if not labels_of(file) & self.abandoned
         }
         self.nights_before = before.nights
-        self.form = as_published(self.spec, self.settings_before)
-        self.hashes = SettingsHashes(self.form)
+        self.roller = self.settings_before.get(ROLLER)
+        self.fitted_spec = as_published(self.spec, self.settings_before)
+        self.hashes = SettingsHashes(self.fitted_spec)
+        self.why_anew = why_anew(self.settings_before, settings_of(self.fitted_spec))
         self.is_delay_decided = False  # in this run
-        # Nights whose form this run changed: as they told the scale before.
-        self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(before.nights)
         self.stays: dict[dt.date, str] = {}
@@ -130,9 +129,9 @@ class MotorNights:
 
     @property
     def is_quiet(self) -> bool:
-        """True where no night is to be made, and no form of the fits changed."""
-        is_decided = self.is_roller_free() == self.form.roller_is_free
-        return is_decided and not self.open_nights() and not self.nights_of_delay()
+        """True where no night is to be made, and nothing to be decided."""
+        is_decided = self.roller_decision_due() is None and not self.nights_of_delay()
+        return is_decided and not self.open_nights()
 
     def _note_gone(self) -> None:
         """Note which published nights have no log any more, and which have one again."""
@@ -146,7 +145,6 @@ class MotorNights:
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
         present, found = self.logs.present(), {}
-        why = cache(self._why_anew)
         for label, record in self.nights_before.items():
             if not record.statistics_hash:
                 continue
@@ -158,17 +156,11 @@ class MotorNights:
                 is_of_blocks = record.statistics_hash == statistics and record.status == OK
                 if is_of_blocks or label in present:
                     work = Work.REFIT if is_of_blocks else Work.READ
-                    found[label] = Step(work, why())
+                    found[label] = Step(work, self.why_anew)
                 elif record.status in WITH_SAMPLES:
-                    found[label] = Step(Work.STAY, f"{why()}, and {GONE}")
+                    found[label] = Step(Work.STAY, f"{self.why_anew}, and {GONE}")
         asked = filter(self.task.asks_for, present)
         return found | dict.fromkeys(asked, Step(Work.READ, "asked for"))
-
-    def _why_anew(self) -> str:
-        """Settings that changed since the last run, in words."""
-        if self.is_delay_decided:
-            return f"the drain flow is delayed by {self.form.drain_delay_s or 0.0:g} s"
-        return why_anew(self.settings_before, settings_of(self.form))
 
     def open_nights(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
@@ -233,13 +225,13 @@ class MotorNights:
         }
         return sorted(label for label in between - told if self.task.wants(label))
 
-    def is_roller_free(self) -> bool:
-        """The decision of all nights that the motor has by now, whichever were asked for."""
-        told = {
-            label: record.tells_roller for label, record in self.records.items()
-        } | self.first_told
+    def roller_decision_due(self) -> dict[str, Any] | None:
+        """Return the decision on the rollers' scale if it is to be made: once in a baseline."""
+        identified = {label: record.roller_identified for label, record in self.records.items()}
         begins = [event.date for event in self.spec.file.baseline_events]
-        return is_roller_free(told, begins, FIRST_NIGHTS)
+        decision = roller_decision(identified, begins)
+        is_new = decision is not None and (self.roller or {}).get("since") != decision["since"]
+        return decision if is_new else None
 
     def nights_of_delay(self) -> list[dt.date]:
         """Nights that decide on the drain flow's delay; empty where it is decided, or too early.
@@ -249,7 +241,7 @@ class MotorNights:
         if not self.spec.settings.transport_delay.is_estimated:
             return []
         is_asked = self.task.redo is not None
-        if (self.form.drain_delay_s is not None and not is_asked) or self.is_delay_decided:
+        if (self.fitted_spec.drain_delay_s is not None and not is_asked) or self.is_delay_decided:
             return []
         fitted = [
             label
@@ -327,7 +319,8 @@ class MotorNights:
         code, message = errors[0] if errors else (None, self._why_nothing(status))
         settled = self.done.keys() | self.stays.keys()
         files = {**self.logs.before, **self.logs.finished(settled)}
-        after = ProcessedLogs(files, self.records, settings_of(self.form))
+        settings = settings_of(self.fitted_spec) | ({ROLLER: self.roller} if self.roller else {})
+        after = ProcessedLogs(files, self.records, settings)
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,

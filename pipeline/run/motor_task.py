@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import polars as pl
@@ -31,8 +31,8 @@ from pipeline.night.column_change import (
     usual_readings,
 )
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
-from pipeline.night.refit import refit, refit_in_form
-from pipeline.night.rows import Row, coefficient_names
+from pipeline.night.refit import refit, refit_read
+from pipeline.night.rows import Row
 from pipeline.run.coverage import why_less
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.stored_nights import StoredNights
@@ -71,8 +71,8 @@ def run_motor(task: MotorTask) -> MotorOutcome:
             return lost(task, loss_of(error))
 
 
-def _tells_roller(outcome: NightOutcome) -> bool | None:
-    """Whether a night's primary fit tells the scale of the rollers' curve; None without either."""
+def _roller_identified(outcome: NightOutcome) -> bool | None:
+    """Whether a night's primary fit identifies the rollers' scale; None without fit or rollers."""
     verdicts = [row.get("roller_verdict") for row in outcome.rows["fits"] if row["is_primary"]]
     return verdicts[0] and verdicts[0] == "identified"
 
@@ -96,6 +96,8 @@ class _Making(MotorNights):
 
     def run(self) -> MotorOutcome:
         plan = self.open_nights()
+        if not plan and self._decide(plan):
+            plan = self.open_nights()
         while plan:
             label, n_moved = min(plan), self.logs.n_moved
             outcome = self._night(label, plan.pop(label))
@@ -109,12 +111,8 @@ class _Making(MotorNights):
                 for waiting in self.logs.waiting() & self.done.keys():
                     self._take_back(waiting)
                 plan = self.open_nights()
-            if self._decide_delay():
+            if self._decide(plan):
                 plan = self.open_nights()
-            # Of a first load: the nights to come are then fitted once.
-            if not self.nights_before:
-                self._decide_form()
-        self._decide_form()
         for label in self.holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
@@ -141,7 +139,7 @@ class _Making(MotorNights):
             outcome.status,
             self.hashes.statistics(label),
             self.hashes.figures(label),
-            _tells_roller(outcome),
+            _roller_identified(outcome),
             self.logs.contents_of(label) if before is None else before.logs,
             "" if before is None else before.stays,
             row=outcome.rows["nights"][0],
@@ -158,13 +156,13 @@ class _Making(MotorNights):
         try:
             if step.work is Work.REFIT:
                 with self.timed("refit_s"):
-                    outcome = refit(self.form, self.stored.night(label))
+                    outcome = refit(self.fitted_spec, self.stored.night(label))
                 if outcome is not None:
                     return outcome
                 if label not in self.logs.present():
                     self.stay(label, f"{step.reason}: its blocks do not suffice, and {GONE}")
                     return None
-            return self._unless_less(self._in_form(self._read_and_fit(label)))
+            return self._unless_less(self._read_and_fit(label))
         except StoreError:
             raise
         except (Exception, PanicException) as error:  # one night must not cost the motor's others
@@ -189,16 +187,15 @@ class _Making(MotorNights):
         self.stay(label, why, status)
         return None
 
-    def _in_form(self, outcome: NightOutcome) -> NightOutcome:
-        """A night's outcome in the form in which the motor's fits are published."""
-        mode, fits = self.spec.file.flushing.mode, outcome.rows["fits"]
-        names = coefficient_names(self.form.motor(outcome.night, mode))
-        if outcome.status != OK or all(row["coefficient_names"] == names for row in fits):
-            return outcome
-        with self.timed("refit_s"):
-            # Of a night just read, all rows are in the outcome.
-            published = None if outcome.tables is None else self.stored.night(outcome.night)
-            return refit_in_form(self.form, outcome, published) or outcome
+    def _decide(self, plan: Mapping[dt.date, Step]) -> bool:
+        """Decide what is due by the first nights; True where nights are to be made anew.
+
+        On the rollers after all that is to do, but of a first load at once: the nights to come are
+        then fitted once.
+        """
+        if self._decide_delay():
+            return True
+        return not (plan and self.nights_before) and self._decide_roller_scale()
 
     def _decide_delay(self) -> bool:
         """Decide on the drain flow's delay once; True where nights are to be paired anew."""
@@ -206,30 +203,39 @@ class _Making(MotorNights):
         if not deciding:
             return False
         lag = agreed_lag(self._rows_of(deciding, FITS, LAG_COLUMNS))
-        before = self.form.drain_delay_s
-        delay_s = 0.0 if lag is None else lag[0]
+        delay_s, before = 0.0 if lag is None else lag[0], self.fitted_spec
         self.is_delay_decided = True
-        self.form = self.spec.decided(delay_s, roller_is_free=self.form.roller_is_free)
-        if delay_s == (before or 0.0):
+        self.fitted_spec = self.spec.decided(delay_s, roller_is_free=before.roller_is_free)
+        if delay_s == (before.drain_delay_s or 0.0):
             return False
-        self.hashes = SettingsHashes(self.form)
         for label in list(self.done):
             self._take_back(label)
-        self.by_settings = self._outdated_by_settings()
+        self._make_anew(f"the drain flow is delayed by {delay_s:g} s")
         return True
 
-    def _decide_form(self) -> None:
-        """All nights with a fit in the other form."""
-        if self.is_roller_free() == self.form.roller_is_free:
-            return
-        is_free = not self.form.roller_is_free
-        self.form = self.spec.decided(self.form.drain_delay_s, roller_is_free=is_free)
-        self.hashes = SettingsHashes(self.form)
-        for label in sorted(label for label, record in self.records.items() if record.status == OK):
-            outcome = self.done.get(label) or self.stored.outcome(label)
-            if outcome.rows["fits"]:
-                self.first_told.setdefault(label, self.records[label].tells_roller)
-                self._remember(self._in_form(outcome))
+    def _decide_roller_scale(self) -> bool:
+        """Decide on the rollers' scale if that is due; True where nights are to be fitted anew."""
+        decision = self.roller_decision_due()
+        if decision is None:
+            return False
+        self.roller, before = decision, self.fitted_spec
+        is_free = bool(decision["is_free"])
+        self.fitted_spec = self.spec.decided(before.drain_delay_s, roller_is_free=is_free)
+        if is_free == before.roller_is_free:
+            return False
+        self._make_anew("the scale of the rollers is decided")
+        for label, outcome in [*self.done.items()]:
+            if outcome.tables is None:
+                with self.timed("refit_s"):
+                    self._remember(refit_read(self.fitted_spec, outcome))
+            else:
+                self._take_back(label)
+        return True
+
+    def _make_anew(self, why: str) -> None:
+        """Have nights of before made anew as the motor is fitted now."""
+        self.hashes, self.why_anew = SettingsHashes(self.fitted_spec), why
+        self.by_settings = self._outdated_by_settings()
 
     def _read_and_fit(self, label: dt.date) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
@@ -250,10 +256,10 @@ class _Making(MotorNights):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
         newest = max(filter(self.task.wants, self.logs.present()), default=label)
         if self.task.first_look is None or self.nights_before or label < newest:
-            return self._unless_changed(fit_night(self.form, here, channels))
+            return self._unless_changed(fit_night(self.fitted_spec, here, channels))
         look = self.task.first_look()
         look.at_log(self.spec, label, self.logs.in_time(), self.logs.path, channels)
-        outcome = fit_night(self.form, here, channels, look.at_samples)
+        outcome = fit_night(self.fitted_spec, here, channels, look.at_samples)
         self.findings = tuple(look.findings)
         return self._unless_changed(outcome)
 

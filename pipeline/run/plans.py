@@ -58,6 +58,6 @@ def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
             yield (
                 spec.motor_id,
                 "a baseline was reset, or a new version"
-                if before == now
+                if {**before, **now} == before
                 else why_anew(before, now, trends=True),
             )

@@ -10,12 +10,10 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.errors import StoreError
-from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import FROM_TABLES, PublishedNight
 from pipeline.night.rows import Row
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCKS, FITS, NIGHTS, OF_NIGHT, PARAMETERS, Table
-from pipeline.schema.fits import OK
+from pipeline.schema import BLOCKS, NIGHTS, OF_NIGHT, Table
 from pipeline.store.published import TABLE_OF
 from pipeline.store.tables import days_of, read_rows
 
@@ -31,11 +29,6 @@ class StoredNights:
         self._unpublished = unpublished
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
-
-    def outcome(self, label: dt.date) -> NightOutcome:
-        """A fitted night as published: what another form of its fits replaces."""
-        rows = self.rows(label, (NIGHTS, FITS, PARAMETERS))
-        return NightOutcome(label, OK, None, None, rows, tables=tuple(rows))
 
     def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[Row]]:
         """Rows of a night by table."""

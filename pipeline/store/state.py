@@ -46,7 +46,7 @@ CREATE TABLE logs (
 ) WITHOUT ROWID;
 CREATE TABLE nights (
     motor_id TEXT NOT NULL REFERENCES motors, night TEXT NOT NULL, status TEXT NOT NULL,
-    statistics_hash TEXT NOT NULL, figures_hash TEXT NOT NULL, tells_roller INTEGER,
+    statistics_hash TEXT NOT NULL, figures_hash TEXT NOT NULL, roller_identified INTEGER,
     logs TEXT NOT NULL, stays TEXT NOT NULL, refused TEXT NOT NULL, row TEXT,
     PRIMARY KEY (motor_id, night)
 ) WITHOUT ROWID;

@@ -90,6 +90,5 @@ def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
             "form": FORM,
             "libraries": (np.__version__, scipy.__version__, pl.__version__),
             "records": str(RECORD.descr),
-            "rollers": spec.roller_is_free,
         }
     )

@@ -14,15 +14,17 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.logs.motor_logs
+import pipeline.run.motor_nights
 from leakage import OperatingConditions, total_flow_l_per_min
 from leakage.estimation.sample_blocks import Windows as Blocks
 from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.refit import PublishedNight, refit, refit_in_form
-from pipeline.run.motor_nights import is_roller_free
-from pipeline.schema import BLOCKS, NIGHT_TABLES, frame
+from pipeline.night.refit import PublishedNight, refit, refit_read
+from pipeline.run.motor_nights import roller_decision
+from pipeline.schema import BLOCKS, NIGHT_TABLES, NIGHTS, frame
+from pipeline.store.published import TABLE_OF
 from tests.pipeline.night.noise_free import fitted, parameters, white
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_settings
 from tests.pipeline.workshop import DAY, QUICK, Workshop
@@ -103,7 +105,7 @@ def test_settings_of_the_statistics_need_the_logs(workshop: Workshop) -> None:
     outcome = workshop.run()
     assert (len(outcome.nights), outcome.n_refitted) == (3, 0)
     fresh = from_scratch(workshop)
-    for table in NIGHT_TABLES:
+    for table in (NIGHTS, *NIGHT_TABLES):
         assert_frame_equal(workshop.rows(table.name), fresh.rows(table.name), check_exact=True)
 
 
@@ -145,7 +147,7 @@ def freed(spec: MotorSpec) -> MotorSpec:
 
 def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSpec) -> None:
     stated = night(spec)
-    free = refit_in_form(freed(spec), stated, None)
+    free = refit_read(freed(spec), stated)
     motor = spec.motor(NIGHT, "none")
     at = spec.settings.reference
     conditions = OperatingConditions.from_bar(at.pressure_bar, at.temperature_c, at.speed_rpm)
@@ -164,10 +166,10 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
 
 def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSpec) -> None:
     read, stated = night(freed(spec)), night(spec)
-    anew = refit_in_form(freed(spec), stated, None)
+    anew = refit_read(freed(spec), stated)
     assert read.rows.keys() == anew.rows.keys()
     for name in read.rows:
-        table = next(table for table in NIGHT_TABLES if table.name == name)
+        table = TABLE_OF[name]
         one, two = (frame(table, made.rows[name]) for made in (read, anew))
         assert_frame_equal(one, two, check_exact=True)
 
@@ -177,9 +179,8 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     made = night(spec).rows
     published = PublishedNight(NIGHT, made, frame(BLOCKS, made["blocks"]))
     moved = with_settings(spec, "reference", pressure_bar=100.0)
-    stated = refit(moved, published)
-    anew = refit_in_form(freed(moved), stated, published)
-    read = refit_in_form(freed(moved), night(moved), None)
+    anew = refit(freed(moved), published)
+    read = refit_read(freed(moved), night(moved))
     (made_anew,), (made_read,) = anew.rows["fits"], read.rows["fits"]
     for name in ("fitted_leakage_sensor_l_per_min", "fitted_leakage_l_per_min"):
         assert made_anew[name] == pytest.approx(made_read[name], rel=0.02), name
@@ -191,7 +192,7 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     text = text.replace('motor_type = "CB560"', 'motor_type = "FREE"')
     text += "scale = { value = 1.0, minimum = 0.0, maximum = 10.0, fixed = false }\n"
     declared = load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text})
-    free = refit_in_form(freed(spec), night(spec), None)
+    free = refit_read(freed(spec), night(spec))
     read = night(declared)
     scale = parameters(read)["scale_cam_roller"]
     assert scale["verdict"] == "identified"
@@ -203,10 +204,10 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
 
 
 @pytest.mark.parametrize(
-    ("tells", "begins", "expected"),
+    ("identified", "begins", "expected"),
     [
         ((True,) * 5, (), True),
-        ((True,) * 4, (), False),
+        ((True,) * 4, (), None),
         ((None, *(True,) * 5), (), True),
         # Four of five do.
         ((True, False, True, True, True), (), True),
@@ -219,7 +220,11 @@ def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: Motor
     ],
 )
 def test_the_first_nights_of_a_baseline_decide(
-    tells: tuple[bool | None, ...], begins: tuple[dt.date, ...], expected: bool
+    monkeypatch: pytest.MonkeyPatch,
+    identified: tuple[bool | None, ...],
+    begins: tuple[dt.date, ...],
+    expected: bool | None,
 ) -> None:
-    found = is_roller_free(dict(zip(DAYS, tells, strict=False)), begins, 5)
-    assert found is expected
+    monkeypatch.setattr(pipeline.run.motor_nights, "ROLLER_NIGHTS", 5)
+    found = roller_decision(dict(zip(DAYS, identified, strict=False)), begins)
+    assert (found and found["is_free"]) is expected

@@ -11,7 +11,6 @@ from polars.testing import assert_frame_equal
 import pipeline.run.motor_nights
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.run.motor_nights import is_roller_free
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
 
@@ -30,11 +29,7 @@ reference_viscosity_mpa_s = 35.0
 
 @pytest.fixture(autouse=True)
 def two_nights_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        pipeline.run.motor_nights,
-        "is_roller_free",
-        lambda tells, begins, _: is_roller_free(tells, begins, 2),
-    )
+    monkeypatch.setattr(pipeline.run.motor_nights, "ROLLER_NIGHTS", 2)
 
 
 def workshop(folder: Path, fleet: str = QUICK) -> Workshop:
@@ -77,3 +72,22 @@ def test_a_back_fill_in_parts_decides_with_the_first_that_can(tmp_path: Path) ->
     assert parts.run().nights == ()
     whole.run()
     check_same_figures(parts, whole, "log_files")
+
+
+def test_what_is_decided_stands_until_a_new_baseline(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = workshop(tmp_path)
+    for number in (1, 2, 3):
+        made.log(NIGHT + number * DAY, seed=number)
+    made.run()
+    # No night would be reason enough any more: neither a late log nor a night made anew reopens it.
+    monkeypatch.setattr(pipeline.run.motor_nights, "MOST", 1.1)
+    made.log(NIGHT, seed=0)
+    assert made.run().nights == (NIGHT,)
+    assert forms(made) == [True] * 4
+    event = f'[[events]]\ndate = {NIGHT + 2 * DAY}\nkind = "overhaul"\n'
+    motor = motor_toml("M1", "MINI", more=event)
+    write_configs(made.folder, {"M1": motor}, {"MINI": MINI + ROLLER}, QUICK)
+    assert made.run().n_refitted == 4
+    assert forms(made) == [False] * 4
