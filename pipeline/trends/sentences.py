@@ -11,7 +11,7 @@ from pipeline.messages import as_sentence, plain
 
 if TYPE_CHECKING:
     from leakage.watch import Change, Estimate
-    from pipeline.trends.states.judged import JudgedNight
+    from pipeline.trends.states.night_state import NightState
 
 NAMES = {
     "leakage": "leakage",
@@ -142,7 +142,7 @@ def _date_ahead(night: dt.date, days: float) -> str:
     return date if days < TO_THE_DAY else date.split(" ", 1)[1]
 
 
-def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
+def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
     """A motor's sentence of a night: what, how much, since when, what else it could be.
 
     `quiet_since`: since when no change has been told, None without a baseline; `drifts`: zeros of
@@ -150,28 +150,28 @@ def sentence(night: JudgedNight, quiet_since: dt.date | None, drifts: Sequence[s
     """
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
-        last = night.watched.night - dt.timedelta(days=night.watched.silent)
+        last = night.night - dt.timedelta(days=night.silent)
         why = f": {night.why_no_blocks}" if night.why_no_blocks else ""
         parts.append(f"no data since {day(last)}{why}")
-    elif night.watched.verdict is None:
+    elif night.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
         parts.append(_changed(night, night.change))
-    elif quiet_since is not None and night.watched.verdict and night.state != "stale":
+    elif quiet_since is not None and night.verdict and night.state != "stale":
         parts.append(_quiet(night, quiet_since))
-    if _no_part_is_named(night) and night.watched.verdict is not None:
-        lack = night.watched.verdict.lack_of_fit
+    if _no_part_is_named(night) and night.verdict is not None:
+        lack = night.verdict.lack_of_fit
         parts.append(f"the model misses {100 * lack:.0f} % of the flow, so no part is named")
     return "; ".join([*parts, *drifts])
 
 
-def _no_part_is_named(night: JudgedNight) -> bool:
+def _no_part_is_named(night: NightState) -> bool:
     """True where the model is the reason, be it for a change in force or for any."""
     unnamed = night.change is not None and night.change.cause == "cannot_be_told"
     return night.model_verdict == "disproved" or (unnamed and night.model_verdict == "doubtful")
 
 
-def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
+def advice(night: NightState, drifts: Sequence[str]) -> str:
     """What to do in a night: one order, or what would identify the cause."""
     if night.way == "limit" and night.change is None:
         return _inspect("the motor", night.state)
@@ -184,7 +184,7 @@ def advice(night: JudgedNight, drifts: Sequence[str]) -> str:
     return WAIT if night.state == "insufficient" else "Nothing to do."
 
 
-def _advice_on(night: JudgedNight, change: Change) -> str:
+def _advice_on(night: NightState, change: Change) -> str:
     if night.state == "alarm":
         # An alarm carries an order, whatever its cause is called.
         return _inspect(
@@ -207,7 +207,7 @@ def _inspect(what: str, state: str) -> str:
     return f"Plan an inspection of {what}."
 
 
-def _to_identify(night: JudgedNight, change: Change) -> str:
+def _to_identify(night: NightState, change: Change) -> str:
     """What would distinguish the causes that are left."""
     if change.is_several:
         return (
@@ -232,7 +232,7 @@ def _to_identify(night: JudgedNight, change: Change) -> str:
     return as_sentence(f"{both} would identify the cause")
 
 
-def _limit_words(night: JudgedNight) -> str:
+def _limit_words(night: NightState) -> str:
     limits, found = night.spec.motor_type.limits, night.reference
     limit = limits.alarm_l_per_min if night.state == "alarm" else limits.warning_l_per_min
     assert found is not None
@@ -242,15 +242,14 @@ def _limit_words(night: JudgedNight) -> str:
     )
 
 
-def _insufficient(night: JudgedNight) -> str:
-    watched = night.watched
-    begin = "" if watched.period.reason == "first nights" else f" since {watched.period.reason}"
-    none = f"; {day(watched.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
-    return f"{watched.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
+def _insufficient(night: NightState) -> str:
+    begin = "" if night.period.reason == "first nights" else f" since {night.period.reason}"
+    none = f"; {day(night.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
+    return f"{night.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
 
 
-def _quiet(night: JudgedNight, since: dt.date) -> str:
-    verdict = night.watched.verdict
+def _quiet(night: NightState, since: dt.date) -> str:
+    verdict = night.verdict
     assert verdict is not None
     words = f"too few nights since {day(since)} to show a change"
     if night.state != "insufficient" and verdict.smallest is not None:
@@ -265,7 +264,7 @@ def _quiet(night: JudgedNight, since: dt.date) -> str:
     return f"{words}; the flow follows temperature otherwise than before {_since(change)}"
 
 
-def _changed(night: JudgedNight, change: Change) -> str:
+def _changed(night: NightState, change: Change) -> str:
     """A change that stands told."""
     what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
     if ONE_OF in change.cause:
@@ -275,7 +274,7 @@ def _changed(night: JudgedNight, change: Change) -> str:
     told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
     size = _newest_night(night)
-    verdict = night.watched.verdict
+    verdict = night.verdict
     assert verdict is not None
     newest = verdict.newest_night
     is_shown = newest.lower > 0.0 if change.is_rise else newest.upper < 0.0
@@ -291,7 +290,7 @@ def _changed(night: JudgedNight, change: Change) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _beside_circuit(night: JudgedNight, change: Change) -> str:
+def _beside_circuit(night: NightState, change: Change) -> str:
     """The motor's own part, and what the circuit's other motors did over the same nights."""
     circuit = night.circuit
     if circuit is None or change.cause == "odd_nights":
@@ -317,10 +316,10 @@ def _others(change: Change) -> str:
     return f"probability {percent(change.probability)}{else_}"
 
 
-def _newest_night(night: JudgedNight) -> str:
-    verdict = night.watched.verdict
+def _newest_night(night: NightState) -> str:
+    verdict = night.verdict
     assert verdict is not None
-    newest = night.watched.night - dt.timedelta(days=night.watched.silent)
+    newest = night.night - dt.timedelta(days=night.silent)
     change = relative_change(verdict.newest_night)
     return f"{_quantity(night.change)} {change} on {day(newest)}"
 

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from scipy.special import ndtri
 
 from leakage.estimation.block_statistics import merge
+from leakage.estimation.identifiability import TOLD
 from leakage.estimation.validation import agreement
-from leakage.watch import NightBlocks
+from leakage.watch import Estimate, NightBlocks
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
@@ -60,6 +62,8 @@ PARAMETER_COLUMNS = (
     *("value", "lower", "upper", "verdict", "reason"),
 )
 FILE_COLUMNS = ("motor_id", "night", "message")
+# Half of a 95 % interval over the standard error.
+HALF = float(ndtri(0.975))
 # The model of the night before is at most so old.
 MODEL_AGE = dt.timedelta(days=31)
 
@@ -128,6 +132,15 @@ class MotorNights:
             return NO_LOG
         status = "no blocks" if row["status"] == OK else row["status"].replace("_", " ")
         return ": ".join(one for one in (status, row["reason"]) if one)
+
+    def fitted_leakage(self, night: dt.date) -> Estimate | None:
+        """Leakage at the reference conditions by a night's own fit; None where it has none."""
+        fit = self.fits.get(night, {})
+        upper = fit.get("fitted_leakage_upper")
+        if upper is None or fit["fitted_leakage_verdict"] not in TOLD:
+            return None
+        value = fit["fitted_leakage_l_per_min"]
+        return Estimate(value, (upper - value) / HALF)
 
     def previous_model_fit_percent(self, night: dt.date) -> float | None:
         """Fit of the model of the night before on a night's samples; None without either."""

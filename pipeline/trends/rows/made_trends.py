@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
-from leakage.estimation.identifiability import TOLD
-from leakage.watch import Estimate, Watch
+from leakage.watch import Watch
 from pipeline.night.rows import Row, night_row
 from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Table
 from pipeline.schema.fits import NO_NEW_DATA
@@ -20,9 +19,9 @@ from pipeline.trends.rows.motor_states import CHANGED, ORDER, STALE
 from pipeline.trends.rows.night_rows import log_note, state_columns
 from pipeline.trends.rows.trend_rows import leakage_rows, oil_as_measured, trend_rows
 from pipeline.trends.sentences import CHECK_ZERO
-from pipeline.trends.states.course import Course, WatchedNight
-from pipeline.trends.states.judged import judged
-from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros
+from pipeline.trends.states.course import Course
+from pipeline.trends.states.night_state import NightState
+from pipeline.trends.states.zeros import Zero, sensor_zeros
 
 DAY = dt.timedelta(days=1)
 JUDGE = "Inspect it, enter what was done as an event, or reset the baseline: data cannot end it."
@@ -59,13 +58,10 @@ class MadeTrends:
     def judge(self, others: Sequence[Watch]) -> None:
         """Make the rows of the night that was told last; `others` are the tank's other motors."""
         self.course.know_circuit(others)
-        watched = self.course.watched()
-        label = watched.night
+        night = self.course.state()
+        label, nights, spec = night.night, self.course.nights, self.course.spec
         if label < self.first:
             return
-        nights, spec = self.course.nights, self.course.spec
-        why = "" if watched.n_blocks else nights.why_no_blocks(label)
-        night = judged(spec, watched, _of_fit(nights.fits.get(label, {})), why)
         leakages, limits = leakage_rows(self.course, night)
         key = {"motor_id": spec.motor_id, "night": label}
         rows = [*leakages, *trend_rows(self.course, night, self.zeros)]
@@ -73,12 +69,12 @@ class MadeTrends:
         drifts: dict[str, str] = {}
         notices: dict[str, str] = {}
         for name, zero in self.zeros.items():
-            is_notice = zero.is_notice(self.course, watched)
-            words = zero.words(watched.place, is_notice=is_notice)
+            is_notice = zero.is_notice(self.course, night)
+            words = zero.words(night.place, is_notice=is_notice)
             (notices if is_notice else drifts).update({name: words} if words else {})
         self.drifts[label] = drifts
-        oil = oil_as_measured(nights.history, watched.place)
-        quiet_since = self._quiet_since(watched)
+        oil = oil_as_measured(nights.history, night.place)
+        quiet_since = self._quiet_since(night)
         if night.state in CHANGED:
             self.changed = label
         self.rows[NIGHTS].append(
@@ -88,7 +84,7 @@ class MadeTrends:
                 **state_columns(night, quiet_since, [*drifts.values()], [*notices.values()]),
                 **limits,
                 "previous_model_fit_percent": nights.previous_model_fit_percent(label),
-                "log_note": log_note(nights.history, watched.place, self._messages(label), oil),
+                "log_note": log_note(nights.history, night.place, self._messages(label), oil),
             }
         )
 
@@ -100,11 +96,10 @@ class MadeTrends:
             *self.course.nights.messages.get(label, ()),
         ]
 
-    def _quiet_since(self, watched: WatchedNight) -> dt.date | None:
+    def _quiet_since(self, night: NightState) -> dt.date | None:
         """Since when no change has been in force."""
-        if watched.baseline is None:
-            return None
-        return max(watched.baseline.start, self.changed + DAY)
+        baseline = night.baseline
+        return None if baseline is None else max(baseline.start, self.changed + DAY)
 
     def alarms(self) -> list[Row]:
         """Rows of `alarms` of these nights; the nights' states get the night that they began in."""
@@ -183,12 +178,3 @@ def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:
             last = night - DAY if is_changed else last
             is_changed = state in CHANGED
     return first - DAY if is_changed else last
-
-
-def _of_fit(fit: Row) -> Estimate | None:
-    """Leakage at the reference conditions by a night's own fit; None where it has none."""
-    upper = fit.get("fitted_leakage_upper")
-    if upper is None or fit["fitted_leakage_verdict"] not in TOLD:
-        return None
-    value = fit["fitted_leakage_l_per_min"]
-    return Estimate(value, (upper - value) / HALF)

@@ -16,7 +16,7 @@ from pipeline.trends.sentences import WAIT, advice, sentence
 if TYPE_CHECKING:
     from leakage.watch import Change, Estimate
     from pipeline.trends.nights.history import History
-    from pipeline.trends.states.judged import JudgedNight
+    from pipeline.trends.states.night_state import NightState
 
 Row = dict[str, Any]
 
@@ -39,13 +39,13 @@ def in_state_before(row: Row, published: pl.DataFrame) -> Row:
 
 
 def state_columns(
-    night: JudgedNight,
+    night: NightState,
     quiet_since: dt.date | None,
     drifts: Sequence[str],
     notices: Sequence[str],
 ) -> Row:
     """Leakages, their change, the state with its words, and the baseline of a night."""
-    watched, change, verdict = night.watched, night.change, night.watched.verdict
+    change, verdict, baseline = night.change, night.verdict, night.baseline
     row: Row = {
         "state": night.state,
         "sentence": sentence(night, quiet_since, [*drifts, *notices]),
@@ -55,7 +55,7 @@ def state_columns(
     }
     if change is not None:
         row |= _of_change(night, change)
-    if (baseline := watched.baseline) is not None:
+    if baseline is not None:
         row |= {
             "baseline_start": baseline.start,
             "baseline_end": baseline.end,
@@ -71,12 +71,12 @@ def state_columns(
             "detection_limit_percent": verdict.smallest and 100.0 * verdict.smallest,
             **_percent("mean_change", verdict.present),
         }
-        if watched.n_blocks:
+        if night.n_blocks:
             row |= _percent("leakage_change", verdict.newest_night)
     return row
 
 
-def _of_change(night: JudgedNight, change: Change) -> Row:
+def _of_change(night: NightState, change: Change) -> Row:
     candidates = sorted(change.candidates.items(), key=lambda item: -item[1])
     row: Row = {
         "cause": change.cause,
@@ -97,14 +97,14 @@ def _of_change(night: JudgedNight, change: Change) -> Row:
     return row
 
 
-def _leakages(night: JudgedNight) -> Row:
+def _leakages(night: NightState) -> Row:
     """Leakages at the motor's own and at the reference conditions, or why one is missing."""
-    if not night.watched.n_blocks:
+    if not night.n_blocks:
         return {"leakage_reason": night.why_no_blocks}
     row: Row = {}
     for name, found in (
-        ("reference_leakage", night.reference or night.watched.reference),
-        ("own_leakage", night.watched.own),
+        ("reference_leakage", night.reference or night.reference_leakage),
+        ("own_leakage", night.own_leakage),
     ):
         if isinstance(found, str):
             row["leakage_reason"] = found

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from leakage.course.slope import fit_slope
 from leakage.course.time_to_limit import time_to_limit
 from leakage.estimation.identifiability import TOLD
-from leakage.watch import Estimate
 from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
+from pipeline.trends.nights.from_tables import HALF
 from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
 from pipeline.trends.nights.layout import LOSS_FACTOR
 from pipeline.trends.sentences import day
-from pipeline.trends.states.course import Course, WatchedNight
-from pipeline.trends.states.judged import JudgedNight
-from pipeline.trends.states.zeros import HALF, Zero
+from pipeline.trends.states.course import Course
+from pipeline.trends.states.night_state import NightState
+from pipeline.trends.states.zeros import Zero
 
 Row = dict[str, Any]
 
@@ -30,17 +30,17 @@ REFERENCE = "reference_leakage"
 NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 
 
-def trend_rows(course: Course, night: JudgedNight, zeros: Mapping[str, Zero]) -> Iterator[Row]:
+def trend_rows(course: Course, night: NightState, zeros: Mapping[str, Zero]) -> Iterator[Row]:
     """Rows of a night's own fit, its blocks, and the zeros of its sensors."""
-    place = night.watched.place
-    yield from _of_fit(course, night.watched)
+    place = night.place
+    yield from _of_fit(course, night)
     yield from _of_blocks(course, place)
     for zero in zeros.values():
         if np.isfinite(zero.value[: place + 1]).any():
             yield _zero_row(zero, place)
 
 
-def leakage_rows(course: Course, night: JudgedNight) -> tuple[list[Row], Row]:
+def leakage_rows(course: Course, night: NightState) -> tuple[list[Row], Row]:
     """Rows of the two leakages with their slopes, and columns of `nights` on their limit.
 
     The limit is that of the figure that alarms: the leakage at the usual operating point at the
@@ -52,9 +52,9 @@ def leakage_rows(course: Course, night: JudgedNight) -> tuple[list[Row], Row]:
     limits: Row = {"alarm_limit_l_per_min": stated, "days_to_limit_status": "insufficient"}
     rows, dated = [], []
     for name in WATCHED:
-        frozen = _frozen(night.watched, name)
+        frozen = _frozen(night, name)
         row = _leakage_row(night, name)
-        if "value" in row and frozen is not None and night.watched.verdict is not None:
+        if "value" in row and frozen is not None and night.verdict is not None:
             row["baseline_mean"] = frozen
             limit = stated if name == REFERENCE else frozen * rise
             line, days = _line(course, night, name, limit if night.may_wear else None)
@@ -69,33 +69,31 @@ def _earliest(days: Row) -> tuple[bool, float]:
     return lower is None, lower or 0.0
 
 
-def _leakage_row(night: JudgedNight, name: str) -> Row:
-    watched = night.watched
-    found: Estimate | str = watched.own
+def _leakage_row(night: NightState, name: str) -> Row:
+    found = night.own_leakage
     if name == REFERENCE:
-        found = night.reference or watched.reference
+        found = night.reference or night.reference_leakage
     row: Row = {"indicator": name, "unit": "l/min", "n_nights": 0, "is_provisional": False}
-    if isinstance(found, str) or not watched.n_blocks:
+    if isinstance(found, str) or not night.n_blocks:
         return row | {"reason": found if isinstance(found, str) else night.why_no_blocks}
     return row | {"value": found.value, "lower": found.lower, "upper": found.upper}
 
 
-def _frozen(watched: WatchedNight, name: str) -> float | None:
+def _frozen(night: NightState, name: str) -> float | None:
     """A leakage over the baseline; None where there is none."""
-    baseline = watched.baseline
+    baseline = night.baseline
     if baseline is None:
         return None
     return baseline.reference_leakage if name == REFERENCE else baseline.own_leakage
 
 
-def _line(course: Course, night: JudgedNight, name: str, limit: float | None) -> tuple[Row, Row]:
+def _line(course: Course, night: NightState, name: str, limit: float | None) -> tuple[Row, Row]:
     """Slopes of a leakage as of a night, and the days to its limit, if it has one.
 
     Where a change is in force, of the nights since it began: a line across a step, or across
     nights before a wear began, is none. Without one, since the baseline began.
     """
-    history, watched = course.nights.history, night.watched
-    first, end = watched.period.first, watched.place + 1
+    history, first, end = course.nights.history, night.period.first, night.place + 1
     if night.change is not None:
         first = max(first, history.place_from(dt.date.fromordinal(night.change.since)))
     here = slice(first, end)
@@ -139,10 +137,10 @@ def _days(
     }
 
 
-def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
+def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
     """Coefficients of the night's own fit: as such, as leakages, and as changes of gaps."""
-    history, place = course.nights.history, watched.place
-    figures = course.nights.parameters.get(watched.night, {})
+    history, place = course.nights.history, night.place
+    figures = course.nights.parameters.get(night.night, {})
     drives = course.drives_at(course.reference, place)
     for number, name in enumerate([*history.layout.coefficients, "C_f"]):
         if name not in figures or (name == "C_f" and not history.layout.is_flushed):
@@ -159,8 +157,8 @@ def _of_fit(course: Course, watched: WatchedNight) -> Iterator[Row]:
         if not isinstance(drives, str):
             shown = _scaled(row, lambda one, by=float(drives[number]): by * one)
             yield row | shown | {"indicator": f"leakage_{path}", "unit": "l/min"}
-        if watched.baseline is not None and name.startswith(LOSS_FACTOR):
-            first = watched.baseline.coefficients[number]
+        if night.baseline is not None and name.startswith(LOSS_FACTOR):
+            first = night.baseline.coefficients[number]
             if first > 0.0:
                 # A loss factor goes with the cube of its gap.
                 gap = _scaled(row, lambda one, by=first: 100.0 * (math.cbrt(one / by) - 1.0))

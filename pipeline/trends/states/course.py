@@ -22,6 +22,7 @@ from pipeline.config.settings import Conditions
 from pipeline.trends.nights.from_tables import MotorNights, read_blocks
 from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, periods_of
 from pipeline.trends.nights.kept import Kept, KeptWatch
+from pipeline.trends.states.night_state import NightState, with_state
 
 # A leakage is told at conditions as far beyond those of the baseline period's blocks [°C, bar,
 # rpm].
@@ -64,28 +65,6 @@ class Baseline:
 
 # To and from what is kept of a baseline.
 KEPT_BASELINE = TypeAdapter(Baseline)
-
-
-@dataclass(frozen=True, slots=True)
-class WatchedNight:
-    """What the watch says of a motor in a night.
-
-    `n_waiting` are the nights so far of a baseline that is not whole; `silent` the nights since
-    the last one with blocks. The leakages are at the motor's own and at the reference conditions,
-    [l/min], without flushing; a text says why there is none.
-    """
-
-    place: int
-    night: dt.date
-    period: BaselinePeriod
-    n_blocks: int
-    n_waiting: int
-    silent: int
-    baseline: Baseline | None = None
-    watch: Watch | None = None
-    verdict: Verdict | None = None
-    own: Estimate | str = "no baseline yet"
-    reference: Estimate | str = "no baseline yet"
 
 
 @dataclass(slots=True)
@@ -221,36 +200,40 @@ class Course:
         if self.watch is not None:
             self.watch = self.watch.beside(others)
 
-    def watched(self) -> WatchedNight:
-        """What is said of the newest night; its figures are noted."""
+    def state(self) -> NightState:
+        """Return the state in the newest night; its leakages are noted."""
         history, place = self.nights.history, self.place - 1
+        label, n_blocks = history.nights[place], int(history.records["blocks"][place])
         counted = np.flatnonzero(history.records["blocks"][: place + 1])
         last = int(history.numbers[counted[-1]]) if len(counted) else -1
-        night = WatchedNight(
+        night = NightState(
+            self.spec,
             place,
-            history.nights[place],
+            label,
             self.period,
-            int(history.records["blocks"][place]),
-            len(self.waiting),
-            int(history.numbers[place]) - last,
+            n_blocks,
+            n_waiting=len(self.waiting),
+            silent=int(history.numbers[place]) - last,
+            why_no_blocks="" if n_blocks else self.nights.why_no_blocks(label),
+            fitted=self.nights.fitted_leakage(label),
         )
         if self.watch is None or self.baseline is None:
-            return night
+            return with_state(night)
         verdict = self.watch.verdict()
-        found = replace(
+        night = replace(
             night,
             baseline=self.baseline,
             watch=self.watch,
             verdict=verdict,
-            own=self._own_leakage(self.baseline, verdict, place),
-            reference=self._leakage(self.reference, place),
+            own_leakage=self._own_leakage(self.baseline, verdict, place),
+            reference_leakage=self._leakage(self.reference, place),
         )
-        if night.n_blocks:
+        if n_blocks:
+            leakages = night.reference_leakage, night.own_leakage
             self.figures[place] = [
-                np.nan if isinstance(one, str) else one.value
-                for one in (found.reference, found.own)
+                np.nan if isinstance(leakage, str) else leakage.value for leakage in leakages
             ]
-        return found
+        return with_state(night)
 
     @property
     def reference(self) -> Conditions:

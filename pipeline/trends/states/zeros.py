@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from leakage.course.sensor_zero import zero_course
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
+from pipeline.trends.nights.from_tables import HALF
 from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
-from pipeline.trends.states.course import Course, WatchedNight
+from pipeline.trends.states.course import Course
+from pipeline.trends.states.night_state import NightState
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # A smaller move is no drift where the config states no tolerance: it moves the piston rings' K by
@@ -25,7 +26,6 @@ COLUMNS = {
 }
 UNITS = {PRESSURE_ZERO: "bar", FLOW_ZERO: "l/min"}
 NAMES = {PRESSURE_ZERO: "pressure", FLOW_ZERO: "flow"}
-HALF = float(ndtri(0.975))
 # Nights with halts in a row that tell a drift, and that end it.
 ON_NIGHTS, OFF_NIGHTS = 3, 5
 
@@ -62,12 +62,12 @@ class Zero:
             f"{f', {moves_little}' if is_notice else ': check it before the motor'}"
         )
 
-    def is_notice(self, course: Course, watched: WatchedNight) -> bool:
+    def is_notice(self, course: Course, night: NightState) -> bool:
         """Return whether nothing is to be done about a sensor that has drifted (issue 49.8).
 
         A pressure zero is work once it moves the leakage by more than the interval of its change.
         """
-        baseline, verdict, place = watched.baseline, watched.verdict, watched.place
+        baseline, verdict, place = night.baseline, night.verdict, night.place
         if self.name != PRESSURE_ZERO or self.state[place] != "warning":
             return False
         if baseline is None or verdict is None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from leakage.watch import Change, Estimate, Machine
+from leakage.watch import Change, Estimate, Machine, Verdict, Watch
 from leakage.watch.attribution import LEAST_PROBABILITY, parts_of
 from leakage.watch.causes import (
     ALL_FLOWS,
@@ -25,7 +26,12 @@ from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
 from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
 from pipeline.trends.nights.layout import FLUSHING, KNOWN
-from pipeline.trends.states.course import WatchedNight
+
+if TYPE_CHECKING:
+    import datetime as dt
+
+    from pipeline.trends.nights.history import BaselinePeriod
+    from pipeline.trends.states.course import Baseline
 
 # Probability from which a level counts as exceeded.
 SURE = 0.975
@@ -41,44 +47,53 @@ NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedNight:
-    """A night of a motor, with its state and the way into it.
+class NightState:
+    """A motor in a night: what the watch says of it, its state, and the way into that.
 
-    `change` is what stands told; `why_no_blocks` is empty where the night has some. `fitted` is
-    the reference leakage of the night's own fit, until there is a watch.
+    The leakages are at the motor's own and at the reference conditions, [l/min], without flushing;
+    a text says why there is none.
     """
 
     spec: MotorSpec
-    watched: WatchedNight
-    state: str
-    way: str
-    change: Change | None
-    why_no_blocks: str
-    fitted: Estimate | None = None
+    place: int
+    night: dt.date
+    period: BaselinePeriod
+    n_blocks: int
+    n_waiting: int  # nights so far of a baseline that is not whole
+    silent: int  # nights since the last one with blocks
+    why_no_blocks: str = ""  # empty where the night has some
+    fitted: Estimate | None = None  # reference leakage of the night's own fit
+    baseline: Baseline | None = None
+    watch: Watch | None = None
+    verdict: Verdict | None = None
+    own_leakage: Estimate | str = "no baseline yet"
+    reference_leakage: Estimate | str = "no baseline yet"
+    change: Change | None = None  # in force
+    state: str = ""
+    way: str = ""
 
     @property
     def model_verdict(self) -> ModelVerdict | None:
         """Verdict on the model by its lack of fit; None before there is a watch."""
-        verdict = self.watched.verdict
-        return None if verdict is None else model_verdict(verdict.lack_of_fit)
+        return None if self.verdict is None else model_verdict(self.verdict.lack_of_fit)
 
     @property
     def reference(self) -> Estimate | None:
-        """Leakage at the reference conditions; None where there is none."""
-        found = self.watched.reference
+        """Leakage at the reference conditions, until there is a watch by the night's own fit."""
+        found = self.reference_leakage
         return self.fitted if isinstance(found, str) else found
 
     @property
     def circuit(self) -> CircuitChange | None:
         """The change in force beside those of the circuit's other motors; None without them."""
-        watch = self.watched.watch
-        in_force = None if watch is None or self.change is None else watch.state.in_force
-        return None if in_force is None else in_force.circuit
+        if self.watch is None or self.change is None or self.watch.state.in_force is None:
+            return None
+        return self.watch.state.in_force.circuit
 
     @property
     def gap_growth(self) -> Estimate | None:
         """Relative change of the gap that the cause names; None where it names none."""
-        watch, change = self.watched.watch, self.change
+        watch, change = self.watch, self.change
         growth = None if change is None else change.path_growth
         if watch is None or change is None or growth is None:
             return None
@@ -104,8 +119,7 @@ class JudgedNight:
     @property
     def wearing_parts(self) -> frozenset[str]:
         """Names of the motor's parts."""
-        watch = self.watched.watch
-        return frozenset() if watch is None else parts_in(watch.state.machine)
+        return frozenset() if self.watch is None else parts_in(self.watch.state.machine)
 
     @property
     def needed(self) -> int:
@@ -118,20 +132,15 @@ def parts_in(machine: Machine) -> frozenset[str]:
     return frozenset(machine.paths) - {FLUSHING, KNOWN}
 
 
-def judged(
-    spec: MotorSpec, night: WatchedNight, fitted: Estimate | None, why_no_blocks: str
-) -> JudgedNight:
-    """The state of a night."""
-    verdict = night.verdict
-    change = None if verdict is None else verdict.change
-    if change is not None:
-        change = _as_shown(change, night)
-    found = JudgedNight(spec, night, "", "", change, why_no_blocks, fitted)
-    state, way = _state(found)
-    return replace(found, state=state, way=way)
+def with_state(night: NightState) -> NightState:
+    """Return a night with its change, as people see it, and its state."""
+    if night.verdict is not None and night.verdict.change is not None:
+        night = replace(night, change=_as_shown(night.verdict.change, night))
+    state, way = _state(night)
+    return replace(night, state=state, way=way)
 
 
-def _as_shown(change: Change, night: WatchedNight) -> Change:
+def _as_shown(change: Change, night: NightState) -> Change:
     """A change as people see it: causes that the nights cannot tell apart are one (model.md, 7c.4).
 
     A motor that the model does not describe names no part.
@@ -173,27 +182,26 @@ def _as_shown(change: Change, night: WatchedNight) -> Change:
     )
 
 
-def _state(night: JudgedNight) -> tuple[str, str]:
+def _state(night: NightState) -> tuple[str, str]:
     """State, and the way into it."""
-    spec, watched, change = night.spec, night.watched, night.change
-    alarms, limits = spec.settings.alarms, spec.motor_type.limits
-    if watched.silent > alarms.stale_after_nights:
+    change, verdict, limits = night.change, night.verdict, night.spec.motor_type.limits
+    alarms = night.spec.settings.alarms
+    if night.silent > alarms.stale_after_nights:
         return "stale", "stale"
     for state, limit in (("alarm", limits.alarm_l_per_min), ("warning", limits.warning_l_per_min)):
         found = night.reference
         if limit is not None and found is not None and found.probability_above(limit) >= SURE:
             return state, "limit"
-    if watched.verdict is None:
+    if verdict is None:
         return "insufficient", "baseline"
     if change is None or change.cause in (BACK, TEMPERATURE_EFFECT):
-        smallest = watched.verdict.smallest
-        if smallest is None or smallest > SHOWS_NOTHING:
+        if verdict.smallest is None or verdict.smallest > SHOWS_NOTHING:
             return "insufficient", "baseline"
         return "ok", "recovered"
     if change.cause == TANK:
         return "common_cause", "common_cause"
     level = alarms.alarm_percent / 100.0
     is_leakage = change.cause not in NO_LEAKAGE
-    if is_leakage and watched.verdict.present.probability_above(level) >= SURE:
+    if is_leakage and verdict.present.probability_above(level) >= SURE:
         return "alarm", "level"
     return "warning", "change"

@@ -14,8 +14,8 @@ from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
 from pipeline.trends.nights.history import BaselinePeriod
 from pipeline.trends.sentences import WHAT, advice, sentence
-from pipeline.trends.states.course import Baseline, WatchedNight
-from pipeline.trends.states.judged import JudgedNight, judged, model_verdict
+from pipeline.trends.states.course import Baseline
+from pipeline.trends.states.night_state import NightState, model_verdict, with_state
 from tests.pipeline.trends.nights import motor, night_of
 
 LIMIT = math.log(365.0 / 0.04)
@@ -41,35 +41,38 @@ def change(cause: str, **more: Any) -> Change:
     return Change(**(fields | more))
 
 
-def watched(found: Change | None = None, **more: Any) -> WatchedNight:
+def watched(found: Change | None = None, **more: Any) -> NightState:
     """Night 30 with a baseline of eight nights; `more` are fields of it or of its verdict."""
     size = Estimate(0.0, 0.01) if found is None else found.size
     verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023, 0.9)
     own = Baseline(night_of(0), night_of(7), 8, Conditions(150.0, 50.0, 40.0), (1e-14,) * 3)
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
     watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine, in_force=None))
-    night = WatchedNight(
-        AT, night_of(AT), BaselinePeriod(0, 40, "first nights"), 20, 0, 0, own, watch, verdict,
-        Estimate(1.2, 0.01), Estimate(1.5, 0.02),
-    )  # fmt: skip
+    night = replace(
+        waiting(0),
+        baseline=own,
+        watch=watch,
+        verdict=verdict,
+        own_leakage=Estimate(1.2, 0.01),
+        reference_leakage=Estimate(1.5, 0.02),
+    )
     names = {"lack_of_fit", "present", "newest_night", "smallest", "evidence", "is_beyond"}
     in_verdict = {name: more.pop(name) for name in names & more.keys()}
     return replace(night, verdict=replace(verdict, **in_verdict), **more)
 
 
-def waiting(n: int, **more: Any) -> WatchedNight:
+def waiting(n: int, **more: Any) -> NightState:
     """A night of a baseline period that has so many nights of its baseline period."""
     period = more.pop("period", BaselinePeriod(0, 40, "first nights"))
-    return WatchedNight(
-        AT, night_of(AT), period, more.pop("n_blocks", 20), n, more.pop("silent", 0)
-    )
+    n_blocks, silent = more.pop("n_blocks", 20), more.pop("silent", 0)
+    return NightState(motor(), AT, night_of(AT), period, n_blocks, n, silent)
 
 
 def judge(
-    night: WatchedNight, spec: MotorSpec | None = None, why: str = "", fitted: Any = None
-) -> JudgedNight:
-    """The night judged for a motor, by default a CB560 with the default settings."""
-    return judged(spec or motor(), night, fitted, why)
+    night: NightState, spec: MotorSpec | None = None, why: str = "", fitted: Any = None
+) -> NightState:
+    """The night's state for a motor, by default a CB560 with the default settings."""
+    return with_state(replace(night, spec=spec or motor(), why_no_blocks=why, fitted=fitted))
 
 
 LIMITS = "[limits]\nwarning_l_per_min = 1.6\nalarm_l_per_min = 1.8\n"
@@ -112,14 +115,14 @@ def test_without_a_baseline_a_motor_waits_or_is_stale() -> None:
 )
 def test_limits_of_the_motor_type_count_with_97_percent(leakage: float, expected: str) -> None:
     spec = motor(limits=LIMITS)
-    found = judge(watched(reference=Estimate(leakage, 0.02)), spec)
+    found = judge(watched(reference_leakage=Estimate(leakage, 0.02)), spec)
     assert found.state == expected
     assert expected == "ok" or found.way == "limit"
     # Before there is a watch the night's own fit tells it, too.
     early = judge(waiting(3), spec, fitted=Estimate(leakage, 0.02))
     assert early.state == ("insufficient" if expected == "ok" else expected)
     # Whatever the others on the tank do.
-    tank = judge(watched(change("tank"), reference=Estimate(leakage, 0.02)), spec)
+    tank = judge(watched(change("tank"), reference_leakage=Estimate(leakage, 0.02)), spec)
     assert tank.state == ("common_cause" if expected == "ok" else expected)
 
 
@@ -166,7 +169,7 @@ MOVED = "the zero of the flow sensor has moved"
 UNTOLD = "leakage has risen, cause not identified"
 
 
-def told(night: JudgedNight, *drifts: str) -> tuple[str, str]:
+def told(night: NightState, *drifts: str) -> tuple[str, str]:
     return sentence(night, night_of(0), drifts), advice(night, drifts)
 
 
@@ -280,7 +283,7 @@ def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, ord
         ),
         (
             judge(
-                watched(reference=Estimate(1.5, 0.02)),
+                watched(reference_leakage=Estimate(1.5, 0.02)),
                 motor(limits="[limits]\nalarm_l_per_min = 1.4\n"),
             ),
             "leakage at the reference conditions 1.5 l/min [1.46, 1.54], beyond the motor type's "
@@ -289,7 +292,7 @@ def test_a_change_in_words(found: Change, lack: float, what: str, rest: str, ord
         ),
     ],
 )
-def test_a_night_in_words(night: JudgedNight, words: str, order: str) -> None:
+def test_a_night_in_words(night: NightState, words: str, order: str) -> None:
     assert told(night) == (words, order)
 
 
