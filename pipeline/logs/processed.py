@@ -12,6 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -195,7 +196,7 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
 def _stored(value: Any) -> Any:
     """A value of a record as its column has it."""
     if isinstance(value, Mapping):
-        return json.dumps(value, default=dt.date.isoformat)
+        return json.dumps(value, default=methodcaller("isoformat"))
     return " ".join(value) if isinstance(value, tuple) else value
 
 

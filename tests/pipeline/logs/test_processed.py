@@ -16,7 +16,9 @@ from pipeline.logs.processed import (
     ProcessedChange,
     ProcessedLogs,
     forget_nights,
+    note_published,
     read_processed,
+    unpublished_rows,
     write_change,
 )
 from pipeline.store.state import open_state
@@ -100,3 +102,19 @@ def test_a_forgotten_night_can_be_fitted_anew_from_its_statistics(tmp_path: Path
         forget_nights(state, {NEW_YEAR}, refit={NEW_YEAR})
     expected = replace(made, figures_hash="")
     assert read(tmp_path, "A") == ProcessedLogs({}, {NEW_YEAR: expected}, {})
+
+
+def test_a_nights_own_row_comes_back_as_it_was_until_it_is_published(tmp_path: Path) -> None:
+    row = {
+        "motor_id": "A",
+        "night": NEW_YEAR,
+        "reason": None,
+        "first_sample": dt.datetime(2026, 1, 1, 22, 0, 0, 5, dt.UTC),
+        "mean_speed_rpm": 0.1 + 0.2,
+    }
+    write_whole(tmp_path, "A", ProcessedLogs({}, {NEW_YEAR: NightRecord("ok", row=row)}, {}))
+    assert read(tmp_path, "A").nights[NEW_YEAR].row == row
+    with open_state(tmp_path) as state:
+        assert unpublished_rows(state, "A") == {NEW_YEAR: row}
+        note_published(state, "A", NEW_YEAR)
+        assert unpublished_rows(state, "A") == {}
