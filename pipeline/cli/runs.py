@@ -212,7 +212,7 @@ def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoRetu
 
 def print_plan(request: RunRequest, *, as_json: bool) -> None:
     """Print the nights that a run would do by motor, with the reasons."""
-    from pipeline.run.plans import plan_fleet, plan_states, plan_trends
+    from pipeline.run.night_plan import plan_fleet, plan_states, plan_trends
     from pipeline.run.tasks import Work
     from pipeline.store.published import faults_of
 

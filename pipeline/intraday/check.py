@@ -47,7 +47,7 @@ from pipeline.store.locks import locked
 from pipeline.store.state import State, open_state
 from pipeline.store.tables import nights_back
 from pipeline.trends.nights.decisions import Decision, read_decisions
-from pipeline.trends.nights.trend_record import read_kept
+from pipeline.trends.nights.trend_record import read_checkpoint
 from pipeline.trends.rows.motor_states import CLEAR, RISEN
 from pipeline.trends.sentences import in_percent
 from pipeline.trends.tasks import circuits_of, decisions_of
@@ -114,9 +114,9 @@ def check_motor(
         known = read_processed(state, motor_id).files
         night, channels = read_so_far(spec, known, latest_us(clock))
         before = nights_before(
-            state.output, spec, decisions, read_kept(state, motor_id), night.date
+            state.output, spec, decisions, read_checkpoint(state, motor_id), night.date
         )
-        so_far = blocks_so_far(spec, before.layout, night, channels)
+        so_far = blocks_so_far(spec, before.watch_columns, night, channels)
         return judge(spec, before, so_far, last)
     except (Insufficient, LeakageError, LogError) as why:
         reason = getattr(why, "reason", str(why))
@@ -221,7 +221,7 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
     for label in sorted(published)[:MOST_NIGHTS]:
         try:
             before = nights_before(
-                state.output, spec, decisions, read_kept(state, spec.motor_id), label
+                state.output, spec, decisions, read_checkpoint(state, spec.motor_id), label
             )
         except Insufficient:
             return None

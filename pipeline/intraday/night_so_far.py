@@ -38,11 +38,11 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.night.viscosity import sensor_ratio
 from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows
+from pipeline.trends.nights.checkpoint import decoded, key_of
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.from_tables import read_blocks
 from pipeline.trends.nights.history import History, periods_of
-from pipeline.trends.nights.kept import decoded, key_of
-from pipeline.trends.nights.layout import Layout
+from pipeline.trends.nights.published_nights import read_blocks
+from pipeline.trends.nights.watch_columns import WatchColumns
 from pipeline.trends.states.course import watch_settings
 
 # Latest samples are left out: what follows may be a halt, and its guard time reaches back [µs].
@@ -123,7 +123,7 @@ def _state(record: FileRecord) -> tuple[int, int]:
 
 
 def blocks_so_far(
-    spec: MotorSpec, layout: Layout, night: Night, channels: dict[str, RawChannel]
+    spec: MotorSpec, watch_columns: WatchColumns, night: Night, channels: dict[str, RawChannel]
 ) -> NightSoFar:
     """Short blocks of a warm motor, by the night's own rules.
 
@@ -149,10 +149,10 @@ def blocks_so_far(
         staged_table(BLOCKS, [row for row, is_warm in zip(rows, warm, strict=True) if is_warm])
     )
     assert isinstance(stored, pl.DataFrame)
-    blocks = layout.blocks(spec, stored)
+    blocks = watch_columns.blocks(spec, stored)
     if blocks is None:
         raise Insufficient("", "the nights before are of another model")
-    return NightSoFar(night, layout.night_blocks(blocks), statistics.blocks[-1].end_us)
+    return NightSoFar(night, watch_columns.night_blocks(blocks), statistics.blocks[-1].end_us)
 
 
 def _warm(begins_us: np.ndarray, night_start_us: int) -> np.ndarray:
@@ -167,7 +167,7 @@ class NightsBefore:
     """Watch of a motor after the last published night before another one."""
 
     watch: Watch
-    layout: Layout
+    watch_columns: WatchColumns
     merged: int  # short blocks in one as the nights store it
     usual: Mapping[str, float]  # as of `usual_readings`
 
@@ -180,10 +180,10 @@ class NightsBefore:
     ) -> NightBlocks | None:
         """Published blocks of a night from a time on; its last one where it ends before."""
         rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=[label])
-        stored = self.layout.blocks(spec, rows) if rows.height else None
+        stored = self.watch_columns.blocks(spec, rows) if rows.height else None
         if stored is None:
             return None
-        blocks = self.layout.night_blocks(stored)
+        blocks = self.watch_columns.night_blocks(stored)
         is_late = stored.rows["block_end"].dt.timestamp("us").to_numpy() > begin_us
         is_late[-1] = True
         parts = (blocks.middle_s, blocks.drives, blocks.flow, blocks.conditions)
@@ -201,23 +201,27 @@ def nights_before(
 
     Raises Insufficient if there is none; StoreError if a published table is damaged.
     """
-    kept = decoded(content)
-    if kept is None:
+    checkpoint = decoded(content)
+    if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")
-    if kept.key != key_of(spec, decisions):
+    if checkpoint.key != key_of(spec, decisions):
         raise Insufficient("", "settings, events or resets have changed: the nightly run redoes it")
-    if any(kept.last_night < event.date <= label for event in spec.file.baseline_events):
+    if any(checkpoint.last_night < event.date <= label for event in spec.file.baseline_events):
         raise Insufficient("", "a new baseline begins")
     last = label - DAY
-    layout = Layout.of(spec, last)
-    history = History(spec, layout, kept.records, tuple(decisions))
+    watch_columns = WatchColumns.of(spec, last)
+    history = History(spec, watch_columns, checkpoint.records, tuple(decisions))
     period = history.nights[periods_of(history)[-1].first]
-    machine, settings, known = layout.machine(spec, period), watch_settings(spec), kept.watch
+    machine, settings, known = (
+        watch_columns.machine(spec, period),
+        watch_settings(spec),
+        checkpoint.watch,
+    )
     if known is not None and (known.period != period or known.day >= label.toordinal()):
         known = None
     begin = period.toordinal() if known is None else known.day + 1
     first = min(dt.date.fromordinal(begin), label - USUAL_NIGHTS * DAY)
-    nights = read_blocks(output, spec, layout, nights_between(max(first, period), last))
+    nights = read_blocks(output, spec, watch_columns, nights_between(max(first, period), last))
     new = [night for night in nights if night.day >= begin]
     if known is not None:
         watch = Watch.of_arrays(machine, settings, known.arrays)
@@ -231,14 +235,14 @@ def nights_before(
 
         def earlier(day: int, until: int = night.day) -> list[NightBlocks]:
             since = nights_between(dt.date.fromordinal(day), dt.date.fromordinal(until))
-            return read_blocks(output, spec, layout, since)
+            return read_blocks(output, spec, watch_columns, since)
 
         watch = watch.after(night, earlier)
     apart = [float(np.median(np.diff(one.middle_s))) for one in nights if len(one.flow) > 1]
     length_s = float(np.median(apart)) if apart else 0.0
     merged = max(1, round(length_s / BLOCK_S))
     rows = [{COLUMNS[name]: value for name, value in _readings(one).items()} for one in nights]
-    return NightsBefore(watch, layout, merged, usual_readings(rows[-USUAL_NIGHTS:]))
+    return NightsBefore(watch, watch_columns, merged, usual_readings(rows[-USUAL_NIGHTS:]))
 
 
 def _readings(blocks: NightBlocks) -> dict[str, float]:

@@ -33,9 +33,8 @@ from pipeline.night.column_change import (
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.refit import refit, refit_read
 from pipeline.night.rows import Row
-from pipeline.run.coverage import why_less
-from pipeline.run.motor_nights import MotorNights
-from pipeline.run.stored_nights import StoredNights
+from pipeline.run.night_plan import NightPlan
+from pipeline.run.stored_nights import StoredNights, why_less
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
 from pipeline.schema import FITS, LOG_FILES, NIGHT_TABLES, NIGHTS, QUALITY, Table
 from pipeline.schema.fits import (
@@ -61,7 +60,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     speak_as_told()
     with one_thread():
         try:
-            return _Making(task).run()
+            return MotorRun(task).run()
         except StoreError as error:
             return lost(task, Loss(error.code, error.message))
         except MemoryError:  # a fresh worker may have what it takes
@@ -82,7 +81,7 @@ def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None
     return min(labels_of(record) or nights, default=None)
 
 
-class _Making(MotorNights):
+class MotorRun(NightPlan):
     """A motor's nights while its task makes them."""
 
     def __init__(self, task: MotorTask) -> None:

@@ -14,7 +14,7 @@ from pipeline.config import Execution, MotorSpec
 from pipeline.logs.files import look_at
 from pipeline.logs.finding import find_logs
 from pipeline.logs.processed import FileRecord, read_processed
-from pipeline.run.motor_nights import MotorNights
+from pipeline.run.night_plan import NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, without_lost_part
 from pipeline.store.state import State
 from pipeline.workers.engine import Workers
@@ -78,7 +78,7 @@ def unchanged_motors(
         if not seen or len(known) < len(seen):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells
-            nights = MotorNights(replace(task, processed=processed, looked_at=known))
+            nights = NightPlan(replace(task, processed=processed, looked_at=known))
             if nights.is_quiet:
                 yield nights.outcome()
 

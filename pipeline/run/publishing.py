@@ -46,7 +46,7 @@ from pipeline.trends.tasks import (
     NewestNight,
     TrendOutcome,
     TrendTask,
-    kept_file,
+    checkpoint_file,
     lost_trends,
     newest_night_of,
     trend_tasks,
@@ -145,8 +145,8 @@ def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[M
 
     def published() -> None:
         for motor_id, record in records.items():
-            kept = kept_file(publisher.staging, motor_id).read_bytes()
-            write_record(state, motor_id, record, kept)
+            checkpoint = checkpoint_file(publisher.staging, motor_id).read_bytes()
+            write_record(state, motor_id, record, checkpoint)
             note_published(state, motor_id, record.last_night)
         if records:
             state.set_meta("latest", "")

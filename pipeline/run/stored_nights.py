@@ -1,10 +1,12 @@
-"""Published rows of a motor's nights, read month by month for a fit without a log."""
+"""Published rows of a motor's nights, read month by month: for a fit without a log, and for a night
+of whose logs less is there now, which replaces nothing.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -13,11 +15,19 @@ from pipeline.errors import StoreError
 from pipeline.night.refit import FROM_TABLES, PublishedNight
 from pipeline.night.rows import Row
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.run.night_plan import NO_LOG
 from pipeline.schema import BLOCKS, NIGHTS, OF_NIGHT, Table
 from pipeline.store.published import TABLE_OF
 from pipeline.store.tables import days_of, read_rows
 
 log = logging.getLogger(__name__)
+
+RowsByTable = Mapping[str, Sequence[Row]]
+
+# Refused by these, a row of a log is none of its samples.
+NO_SAMPLES = ("missing", "duplicate_time")
+# First and last sample that are kept may differ by so much: rules at the ends decide on them, too.
+CLOSE = dt.timedelta(minutes=1)
 
 
 class StoredNights:
@@ -64,3 +74,31 @@ class StoredNights:
             return {}
         nights = rows.sort(table.key).partition_by("night", as_dict=True, maintain_order=True)
         return {key[0]: part for key, part in nights.items()}
+
+
+def samples_of(quality: Iterable[Row]) -> int:
+    """Return the number of different samples of all channels, by a night's rows of `quality`."""
+    logged: dict[str, int] = {}
+    absent = 0
+    for row in quality:
+        if row["channel"] != "time_base":
+            # A rule on pairs of samples looks at fewer.
+            logged[row["channel"]] = max(logged.get(row["channel"], 0), row["n_samples"])
+            absent += row["n_refused"] if row["reason"] in NO_SAMPLES else 0
+    return sum(logged.values()) - absent
+
+
+def why_less(made: RowsByTable, published: RowsByTable) -> str | None:
+    """Return why a night is made of less than its published rows, in words; None: it is not."""
+    now, before = (samples_of(rows.get("quality", ())) for rows in (made, published))
+    if now < before:
+        return f"its logs hold {now} samples now, and held {before}" if now else NO_LOG
+    (new,), (old,) = made["nights"], published["nights"]
+    for name, at, sign in (("first_sample", "begin", -1), ("last_sample", "end", 1)):
+        if old[name] is None:
+            continue
+        if new[name] is None:
+            return "no sample of its logs is kept"
+        if sign * (old[name] - new[name]) > CLOSE:
+            return f"its logs {at} at {new[name]:%H:%M} UTC now, and at {old[name]:%H:%M} before"
+    return None

@@ -57,7 +57,7 @@ CREATE TABLE files (
 ) WITHOUT ROWID;
 CREATE TABLE trends (
     motor_id TEXT PRIMARY KEY, trend_hash TEXT NOT NULL, last_night TEXT NOT NULL,
-    redo_from TEXT, kept BLOB
+    redo_from TEXT, checkpoint BLOB
 );
 CREATE TABLE queues (
     topic TEXT NOT NULL, receiver TEXT NOT NULL, notified_since TEXT NOT NULL,

@@ -15,8 +15,8 @@ from pipeline.logs.processed import as_published, read_settings
 from pipeline.schema import BLOCKS
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import nights_back
-from pipeline.trends.nights.from_tables import read_blocks
-from pipeline.trends.nights.layout import Layout
+from pipeline.trends.nights.published_nights import read_blocks
+from pipeline.trends.nights.watch_columns import WatchColumns
 from pipeline.trends.sentences import cause_words, day, percent, relative_change
 from pipeline.trends.states.course import watch_settings
 
@@ -91,10 +91,10 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     nights = [one for one in nights_back(output, BLOCKS) if first <= one < end]
     earlier = [night for night in nights if night < at][:most]
     later = [night for night in nights if night >= at][-most:]
-    layout = Layout.of(spec, at)
-    before, after = (read_blocks(output, spec, layout, some) for some in (earlier, later))
+    watch_columns = WatchColumns.of(spec, at)
+    before, after = (read_blocks(output, spec, watch_columns, some) for some in (earlier, later))
     try:
-        machine = layout.machine(spec, min(earlier, default=at))
+        machine = watch_columns.machine(spec, min(earlier, default=at))
         found = compare(machine, before, after, watch_settings(spec))
     except EstimationError as error:
         raise UsageError("compare_nights", f"{spec.motor_id}, {at}: {error.message}") from None

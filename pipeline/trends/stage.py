@@ -16,13 +16,13 @@ from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, Table
 from pipeline.store.atomic_files import store_errors
 from pipeline.store.publishing import stage, staged_file
-from pipeline.trends.nights.from_tables import MotorNights, Wanted, read_nights
-from pipeline.trends.nights.kept import decoded, key_of
+from pipeline.trends.nights.checkpoint import decoded, key_of
+from pipeline.trends.nights.published_nights import PublishedNights, Wanted, read_nights
 from pipeline.trends.nights.trend_record import Record
 from pipeline.trends.rows.alarm_rows import new_rows, without_past
-from pipeline.trends.rows.made_trends import MadeTrends
+from pipeline.trends.rows.motor_trends import MotorTrends
 from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import Circuit, Row, TrendOutcome, TrendTask, kept_file
+from pipeline.trends.tasks import Circuit, Row, TrendOutcome, TrendTask, checkpoint_file
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -48,17 +48,18 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
     """What is needed of the motors of a circuit."""
     spans = circuit.spans(task.changed_from, task.newest_night)
-    found = []
+    wanted = []
     for spec in circuit.specs:
         motor_id, record = spec.motor_id, circuit.records[spec.motor_id]
-        said, kept = circuit.decisions[motor_id], None
+        decisions, checkpoint = circuit.decisions[motor_id], None
         if record is not None and record.trend_hash == circuit.hashes[motor_id]:
-            kept = decoded(task.kept.get(motor_id))
-            if kept and (kept.key, kept.last_night) != (key_of(spec, said), record.last_night):
-                kept = None
+            expected = key_of(spec, decisions), record.last_night
+            checkpoint = decoded(task.checkpoints.get(motor_id))
+            if checkpoint and (checkpoint.key, checkpoint.last_night) != expected:
+                checkpoint = None
         unpublished = task.unpublished.get(motor_id, {})
-        found.append(Wanted(spec, said, kept, *spans[motor_id], unpublished))
-    return found
+        wanted.append(Wanted(spec, decisions, checkpoint, *spans[motor_id], unpublished))
+    return wanted
 
 
 def _guarded(done: TrendOutcome, motor_id: str, make: Callable[[], Made]) -> Made | None:
@@ -84,37 +85,35 @@ def _failure(error: Exception) -> Loss:
 
 
 def _run_circuit(
-    task: TrendTask, circuit: Circuit, nights: Mapping[str, MotorNights], done: TrendOutcome
+    task: TrendTask, circuit: Circuit, nights: Mapping[str, PublishedNights], done: TrendOutcome
 ) -> None:
     """Make and stage the trends of a circuit's motors."""
     courses: dict[str, Course] = {}
-    made: dict[str, MadeTrends] = {}
+    made: dict[str, MotorTrends] = {}
     for name, motor in nights.items():
         course = _guarded(done, name, partial(Course.of, task.output, motor))
         if course is None:
             continue
         courses[name] = course
         if motor.wanted.first is not None:
-            trends = _guarded(
-                done,
-                name,
-                partial(MadeTrends.of, course, motor.wanted.first, task.stays.get(name, {})),
-            )
+            first, stays = motor.wanted.first, task.stays.get(name, {})
+            trends = _guarded(done, name, partial(MotorTrends.of, course, first, stays))
             made |= {} if trends is None else {name: trends}
-    _tell(courses, made, done)
+    _advance(courses, made, done)
     for name, trends in made.items():
-        found = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
-        if found is not None:
-            done.records[name], new, told = found
-            done.alarms.extend(told)
-            done.silent.extend(row["id"] for row in new if row not in told)
+        staged = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
+        if staged is not None:
+            done.records[name], new, notified = staged
+            done.alarms.extend(notified)
+            done.silent.extend(row["id"] for row in new if row not in notified)
 
 
-def _tell(
-    courses: Mapping[str, Course], made: Mapping[str, MadeTrends], done: TrendOutcome
+def _advance(
+    courses: Mapping[str, Course], made: Mapping[str, MotorTrends], done: TrendOutcome
 ) -> None:
-    """Tell the watches of a circuit's motors their nights, to all the same before the next."""
-    for night in sorted({label for one in courses.values() for label in one.nights_to_come}):
+    """Advance the watches of a circuit's motors night by night, all of them before the next."""
+    nights = {label for course in courses.values() for label in course.nights_to_come}
+    for night in sorted(nights):
         for name, course in courses.items():
             if course.nights_to_come[:1] == (night,):
                 _guarded(done, name, course.step)
@@ -126,13 +125,13 @@ def _tell(
         for name, trends in made.items():
             if trends.course.night == night:
                 others = [watch for other, watch in watches.items() if other != name]
-                _guarded(done, name, partial(trends.judge, others))
+                _guarded(done, name, partial(trends.add_night, others))
 
 
 def _stage_motor(
-    task: TrendTask, circuit: Circuit, trends: MadeTrends
+    task: TrendTask, circuit: Circuit, trends: MotorTrends
 ) -> tuple[Record, list[Row], list[Row]] | None:
-    """Stage a motor's rows and what is kept.
+    """Stage a motor's rows and its checkpoint.
 
     Its record, new alarms, and those of them that people are notified of.
     """
@@ -149,10 +148,10 @@ def _stage_motor(
         for row in some:
             nights[row["night"]].append(row)
     stage(staged_file(task.staging / "trends", motor_id), staged)
-    path = kept_file(task.staging, motor_id)
+    path = checkpoint_file(task.staging, motor_id)
     with store_errors(path):
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(trends.course.kept(key_of(spec, history.decisions)).encoded())
+        path.write_bytes(trends.course.checkpoint(key_of(spec, history.decisions)).encoded())
     published = trends.course.nights.alarms
     new = new_rows(rows[ALARMS], published)
     last_night = dt.date.min if before is None else before.last_night

@@ -23,7 +23,7 @@ from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import State
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.trend_record import Record, read_kept, read_records, trend_hash
+from pipeline.trends.nights.trend_record import Record, read_checkpoint, read_records, trend_hash
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
@@ -155,7 +155,7 @@ def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> 
 class TrendTask:
     """Whole oil circuits whose trends are to be made, up to the newest night.
 
-    `kept` has what the run before kept of a motor, if anything, as the state file has it;
+    `checkpoints` has what the run before left of a motor, if anything, as the state file has it;
     `changed_from` has the first night with new rows of each motor that was asked for, or None;
     `given_up` how this run's workers were lost in a motor's trends.
     """
@@ -165,7 +165,7 @@ class TrendTask:
     staging: Path
     changed_from: Mapping[str, dt.date | None]
     newest_night: NewestNight
-    kept: Mapping[str, bytes | None] = field(default_factory=dict)
+    checkpoints: Mapping[str, bytes | None] = field(default_factory=dict)
     # By motor, rows of nights as far as these fill them, which are not in `nights` yet.
     unpublished: Mapping[str, Mapping[dt.date, Row]] = field(default_factory=dict)
     # By motor, why nights stay as published.
@@ -185,7 +185,7 @@ class TrendTask:
 class TrendOutcome:
     """By motor: failures, and of each with nights its record.
 
-    What is to be kept of a motor is staged beside its rows.
+    The checkpoint of a motor is staged beside its rows.
 
     `alarms` are the new rows of `alarms` that people are notified of, `silent` the ids of others.
     """
@@ -229,15 +229,15 @@ def trend_tasks(
             staging,
             changed_from,
             newest_night,
-            {name: read_kept(state, name) for name in names},
+            {name: read_checkpoint(state, name) for name in names},
             {name: unpublished_rows(state, name) for name in names},
             {name: stays.get(name, {}) for name in names},
         )
 
 
-def kept_file(staging: Path, motor_id: str) -> Path:
-    """File below the staging folder with what is to be kept of a motor."""
-    return staging / "kept" / motor_id
+def checkpoint_file(staging: Path, motor_id: str) -> Path:
+    """File below the staging folder with a motor's checkpoint."""
+    return staging / "checkpoints" / motor_id
 
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:

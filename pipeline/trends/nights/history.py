@@ -1,6 +1,6 @@
 """A motor's nights in order, a record of numbers each: what the tables and the watch said of them.
 
-What is kept of a motor between runs is its records and the state of its watch.
+Its checkpoint between runs has these records and the state of its watch.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.nights import nights_between
 from pipeline.trends.nights.decisions import LEAKAGE, SENSORS, Decision
-from pipeline.trends.nights.layout import Layout
+from pipeline.trends.nights.watch_columns import WatchColumns
 
 # A structured array, one record a night.
 Records = NDArray[Any]
@@ -70,7 +70,7 @@ class History:
     """
 
     spec: MotorSpec
-    layout: Layout
+    watch_columns: WatchColumns
     records: Records
     decisions: tuple[Decision, ...] = ()
 

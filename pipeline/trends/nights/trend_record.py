@@ -51,21 +51,23 @@ def read_records(state: State) -> dict[str, Record]:
     }
 
 
-def read_kept(state: State, motor_id: str) -> bytes | None:
-    """What is kept of a motor, so that its watch need not be made anew; None without any."""
-    rows = state.rows("SELECT kept FROM trends WHERE motor_id = ?", motor_id)
+def read_checkpoint(state: State, motor_id: str) -> bytes | None:
+    """Return a motor's checkpoint, which saves its watch being made anew; None without any."""
+    rows = state.rows("SELECT checkpoint FROM trends WHERE motor_id = ?", motor_id)
     return rows[0][0] if rows else None
 
 
-def write_record(state: State, motor_id: str, record: Record, kept: bytes | None = None) -> None:
-    """Write the record of a motor's trends, and what is kept of it; raises StoreError."""
+def write_record(
+    state: State, motor_id: str, record: Record, checkpoint: bytes | None = None
+) -> None:
+    """Write the record of a motor's trends, and its checkpoint; raises StoreError."""
     state.write(
         "INSERT OR REPLACE INTO trends VALUES (?, ?, ?, ?, ?)",
         motor_id,
         record.trend_hash,
         str(record.last_night),
         None if record.redo_from is None else str(record.redo_from),
-        kept,
+        checkpoint,
     )
 
 

@@ -15,9 +15,9 @@ from leakage.course.time_to_limit import time_to_limit
 from leakage.estimation.identifiability import TOLD
 from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
-from pipeline.trends.nights.from_tables import HALF
 from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
-from pipeline.trends.nights.layout import LOSS_FACTOR
+from pipeline.trends.nights.published_nights import HALF
+from pipeline.trends.nights.watch_columns import LOSS_FACTOR
 from pipeline.trends.sentences import day
 from pipeline.trends.states.course import Course
 from pipeline.trends.states.night_state import NightState
@@ -142,8 +142,8 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
     history, place = course.nights.history, night.place
     figures = course.nights.parameters.get(night.night, {})
     drives = course.drives_at(course.reference, place)
-    for number, name in enumerate([*history.layout.coefficients, "C_f"]):
-        if name not in figures or (name == "C_f" and not history.layout.is_flushed):
+    for number, name in enumerate([*history.watch_columns.coefficients, "C_f"]):
+        if name not in figures or (name == "C_f" and not history.watch_columns.is_flushed):
             continue
         # With its interval where it is identified; otherwise why it is not.
         figure, verdict = figures[name], figures[name]["verdict"] or ""
@@ -153,7 +153,7 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
         yield row | {"indicator": name, "unit": _unit(name)}
         if name == "C_f":
             continue
-        path = history.layout.paths[number]
+        path = history.watch_columns.paths[number]
         if not isinstance(drives, str):
             shown = _scaled(row, lambda one, by=float(drives[number]): by * one)
             yield row | shown | {"indicator": f"leakage_{path}", "unit": "l/min"}
@@ -179,7 +179,7 @@ def _of_blocks(course: Course, place: int) -> Iterator[Row]:
     history = course.nights.history
     blocks = course.nights.blocks.get(history.nights[place].toordinal())
     if blocks is not None:
-        flow = float(np.mean(blocks.flow)) + history.layout.fixed_flushing
+        flow = float(np.mean(blocks.flow)) + history.watch_columns.fixed_flushing
         yield {"indicator": "drain_flow", "unit": "l/min", "value": flow}
     if (ratio := viscosity_ratio(history, place)) is not None:
         yield {"indicator": "oil_viscosity", "unit": "%", "value": 100.0 * (ratio - 1.0)}

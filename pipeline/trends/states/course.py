@@ -19,9 +19,9 @@ from leakage.watch.events import oil_spread
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.trends.nights.from_tables import MotorNights, read_blocks
+from pipeline.trends.nights.checkpoint import StoredWatch, WatchCheckpoint
 from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, periods_of
-from pipeline.trends.nights.kept import Kept, KeptWatch
+from pipeline.trends.nights.published_nights import PublishedNights, read_blocks
 from pipeline.trends.states.night_state import NightState, with_state
 
 # A leakage is told at conditions as far beyond those of the baseline period's blocks [°C, bar,
@@ -63,8 +63,8 @@ class Baseline:
         return cls(first, last, len(nights), own, tuple(theta.tolist()))
 
 
-# To and from what is kept of a baseline.
-KEPT_BASELINE = TypeAdapter(Baseline)
+# To and from a checkpoint.
+STORED_BASELINE = TypeAdapter(Baseline)
 
 
 @dataclass(slots=True)
@@ -75,7 +75,7 @@ class Course:
     """
 
     output: Path
-    nights: MotorNights
+    nights: PublishedNights
     periods: tuple[BaselinePeriod, ...]
     place: int  # of the next night
     period: BaselinePeriod
@@ -85,28 +85,28 @@ class Course:
     waiting: list[NightBlocks] = field(default_factory=list)
     # Lowest and highest block means of the baseline period, shape (2, 3).
     seen: Array = field(default_factory=lambda: NOTHING_SEEN)
-    # The watch before the newest night, to be kept, with its period, its baseline and what it saw.
+    # Before the newest night, for the checkpoint: period, baseline, what it saw, and the watch.
     before: tuple[BaselinePeriod, Baseline, Array, Watch] | None = None
     # Flow a unit of each coefficient at some conditions, by oil and conditions.
     drives: dict[tuple[str, Conditions], Array | str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, output: Path, nights: MotorNights) -> Course | None:
-        """A motor whose watch goes on from what is kept, or begins anew; None: neither."""
+    def of(cls, output: Path, nights: PublishedNights) -> Course | None:
+        """A motor whose watch goes on from its checkpoint, or begins anew; None: neither."""
         history = nights.history
         if nights.beginning is None:
             return None
         periods, place = periods_of(history), history.place_from(nights.beginning)
         figures = np.column_stack([history.records[name] for name in WATCHED])
         course = cls(output, nights, periods, place, period_at(periods, max(place - 1, 0)), figures)
-        kept = nights.wanted.kept
-        if nights.resumes and kept is not None and kept.watch is not None:
-            newest = dt.date.fromordinal(kept.watch.day)
-            machine = history.layout.machine(history.spec, newest)
+        checkpoint = nights.wanted.checkpoint
+        if nights.resumes and checkpoint is not None and checkpoint.watch is not None:
+            newest = dt.date.fromordinal(checkpoint.watch.day)
+            machine = history.watch_columns.machine(history.spec, newest)
             settings = watch_settings(history.spec)
-            course.watch = Watch.of_arrays(machine, settings, kept.watch.arrays)
-            course.baseline = KEPT_BASELINE.validate_python(kept.watch.own["baseline"])
-            course.seen = np.array(kept.watch.own["seen"])
+            course.watch = Watch.of_arrays(machine, settings, checkpoint.watch.arrays)
+            course.baseline = STORED_BASELINE.validate_python(checkpoint.watch.own["baseline"])
+            course.seen = np.array(checkpoint.watch.own["seen"])
         return course
 
     @property
@@ -137,7 +137,7 @@ class Course:
         blocks = self.nights.blocks.get(night.toordinal())
         if blocks is not None:
             if self.watch is not None and (spread := self._spread(self.watch, night)):
-                machine = history.layout.machine(history.spec, night)
+                machine = history.watch_columns.machine(history.spec, night)
                 self.watch = self.watch.across_event(machine, blocks.day, spread)
             self._take(blocks)
         self.place += 1
@@ -167,7 +167,7 @@ class Course:
         settings = watch_settings(history.spec)
         if len(self.waiting) < settings.baseline_nights:
             return
-        machine = history.layout.machine(history.spec, history.nights[self.period.first])
+        machine = history.watch_columns.machine(history.spec, history.nights[self.period.first])
         self.watch = Watch.begin(machine, self.waiting, settings)
         charges = history.records["charge"][self.period.first : self.place + 1]
         self.baseline = Baseline.of(self.watch, self.waiting, charges)
@@ -192,7 +192,9 @@ class Course:
             for night, n in zip(history.nights, history.records["blocks"].tolist(), strict=True)
             if n and day <= night.toordinal() < begin
         ]
-        found = read_blocks(self.output, self.spec, history.layout, earlier) if earlier else []
+        found = (
+            read_blocks(self.output, self.spec, history.watch_columns, earlier) if earlier else []
+        )
         return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
 
     def know_circuit(self, others: Sequence[Watch]) -> None:
@@ -275,23 +277,23 @@ class Course:
         night = history.nights[place]
         key = history.spec.file.oil_on(night), at
         if key not in self.drives:
-            self.drives[key] = history.layout.drives_at(history.spec, night, at)
+            self.drives[key] = history.watch_columns.drives_at(history.spec, night, at)
         return self.drives[key]
 
-    def kept(self, key: str) -> Kept:
-        """What is kept for the next run: the watch before the newest night, which may be redone."""
+    def checkpoint(self, key: str) -> WatchCheckpoint:
+        """Return what the next run needs: the watch before the newest night, which it may redo."""
         nights, watch = self.nights.history.nights, None
         if self.before is not None:
             period, baseline, seen, before = self.before
             own = {
-                "baseline": KEPT_BASELINE.dump_python(baseline, mode="json"),
+                "baseline": STORED_BASELINE.dump_python(baseline, mode="json"),
                 "seen": seen.tolist(),
             }
-            watch = KeptWatch(nights[period.first], own, before.day, before.arrays())
+            watch = StoredWatch(nights[period.first], own, before.day, before.arrays())
         records = self.nights.history.records[: self.place].copy()
         for column, name in enumerate(WATCHED):
             records[name] = self.figures[: self.place, column]
-        return Kept(key, nights[self.place - 1], records, watch)
+        return WatchCheckpoint(key, nights[self.place - 1], records, watch)
 
 
 def _measured(at: Conditions) -> Array:

@@ -25,7 +25,7 @@ from leakage.watch.circuit import CircuitChange
 from leakage.watch.nights import SEVERAL
 from pipeline.config import MotorSpec
 from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
-from pipeline.trends.nights.layout import FLUSHING, KNOWN
+from pipeline.trends.nights.watch_columns import FLUSHING, KNOWN
 
 if TYPE_CHECKING:
     import datetime as dt

@@ -11,8 +11,8 @@ from leakage.course.sensor_zero import zero_course
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
-from pipeline.trends.nights.from_tables import HALF
 from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
+from pipeline.trends.nights.published_nights import HALF
 from pipeline.trends.states.course import Course
 from pipeline.trends.states.night_state import NightState
 

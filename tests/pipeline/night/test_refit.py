@@ -14,7 +14,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.logs.motor_logs
-import pipeline.run.motor_nights
+import pipeline.run.night_plan
 from leakage import OperatingConditions, total_flow_l_per_min
 from leakage.estimation.sample_blocks import Windows as Blocks
 from pipeline.config import MotorSpec, Windows, hashes
@@ -22,7 +22,7 @@ from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit, refit_read
-from pipeline.run.motor_nights import roller_decision
+from pipeline.run.night_plan import roller_decision
 from pipeline.schema import BLOCKS, NIGHT_TABLES, NIGHTS, frame
 from pipeline.store.published import TABLE_OF
 from tests.pipeline.night.noise_free import fitted, parameters, white
@@ -225,6 +225,6 @@ def test_the_first_nights_of_a_baseline_decide(
     begins: tuple[dt.date, ...],
     expected: bool | None,
 ) -> None:
-    monkeypatch.setattr(pipeline.run.motor_nights, "ROLLER_NIGHTS", 5)
+    monkeypatch.setattr(pipeline.run.night_plan, "ROLLER_NIGHTS", 5)
     found = roller_decision(dict(zip(DAYS, identified, strict=False)), begins)
     assert (found and found["is_free"]) is expected

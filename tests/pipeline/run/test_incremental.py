@@ -19,7 +19,7 @@ import pipeline.config.hashes
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.run.plans import plan_fleet, plan_trends
+from pipeline.run.night_plan import plan_fleet, plan_trends
 from pipeline.run.tasks import MotorOutcome, Work
 from pipeline.store.state import open_state
 from tests.pipeline.workshop import DAY, QUICK, Workshop

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from polars.testing import assert_frame_equal
 
-import pipeline.run.motor_nights
+import pipeline.run.night_plan
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
@@ -29,7 +29,7 @@ reference_viscosity_mpa_s = 35.0
 
 @pytest.fixture(autouse=True)
 def two_nights_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.run.motor_nights, "ROLLER_NIGHTS", 2)
+    monkeypatch.setattr(pipeline.run.night_plan, "ROLLER_NIGHTS", 2)
 
 
 def workshop(folder: Path, fleet: str = QUICK) -> Workshop:
@@ -82,7 +82,7 @@ def test_what_is_decided_stands_until_a_new_baseline(
         made.log(NIGHT + number * DAY, seed=number)
     made.run()
     # No night would be reason enough any more: neither a late log nor a night made anew reopens it.
-    monkeypatch.setattr(pipeline.run.motor_nights, "MOST", 1.1)
+    monkeypatch.setattr(pipeline.run.night_plan, "MOST", 1.1)
     made.log(NIGHT, seed=0)
     assert made.run().nights == (NIGHT,)
     assert forms(made) == [True] * 4

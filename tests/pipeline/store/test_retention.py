@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.config import load_fleet
 from pipeline.errors import UsageError
-from pipeline.run.plans import plan_fleet
+from pipeline.run.night_plan import plan_fleet
 from pipeline.run.tasks import RunRequest
 from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked

@@ -29,7 +29,7 @@ from pipeline.trends.nights.history import (
     period_at,
     periods_of,
 )
-from pipeline.trends.nights.layout import Layout
+from pipeline.trends.nights.watch_columns import WatchColumns
 from pipeline.trends.rows.trend_rows import oil_as_measured, viscosity_ratio
 from pipeline.trends.states.course import Course, WatchedNight
 from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros, tolerance
@@ -51,13 +51,13 @@ ESTIMATED = '[flushing]\nmode = "estimated"\nflow_l_per_min = 4.0\n'
 FIXED = '[flushing]\nmode = "fixed"\nflow_l_per_min = 4.0\n'
 
 
-def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[Layout, NightBlocks]:
-    layout = Layout.of(spec, FIRST)
-    stored = layout.blocks(spec, rows)
-    return layout, layout.night_blocks(stored)
+def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[WatchColumns, NightBlocks]:
+    watch_columns = WatchColumns.of(spec, FIRST)
+    stored = watch_columns.blocks(spec, rows)
+    return watch_columns, watch_columns.night_blocks(stored)
 
 
-def blocks(spec: MotorSpec, **more: Any) -> tuple[Layout, NightBlocks, pl.DataFrame]:
+def blocks(spec: MotorSpec, **more: Any) -> tuple[WatchColumns, NightBlocks, pl.DataFrame]:
     rows = Nights(spec, 1, noise=0.0, **more).frames()[BLOCKS.name]
     return *read_by(spec, rows), rows
 
@@ -65,9 +65,9 @@ def blocks(spec: MotorSpec, **more: Any) -> tuple[Layout, NightBlocks, pl.DataFr
 def test_means_are_those_of_the_samples() -> None:
     """Flow and drives of a block by the law of each path, without the statistics in between."""
     spec = motor()
-    layout, found, rows = blocks(spec)
-    assert layout.watched == (*PATHS, "known")
-    assert layout.gaps == PATHS
+    watch_columns, found, rows = blocks(spec)
+    assert watch_columns.watched == (*PATHS, "known")
+    assert watch_columns.gaps == PATHS
     assert found.day == night_of(0).toordinal()
     bar = rows["mean_pressure_bar"][3] + np.linspace(-10.0, 10.0, SAMPLES)
     at = OperatingConditions.from_bar(
@@ -87,13 +87,13 @@ def test_means_are_those_of_the_samples() -> None:
 
 def test_an_estimated_flushing_is_a_path_and_a_stated_one_is_taken_off() -> None:
     _, without, _ = blocks(motor())
-    layout, estimated, _ = blocks(motor(more=ESTIMATED), wear={"C_f": np.ones(1)})
-    assert layout.watched == (*PATHS, "flushing", "known")
+    watch_columns, estimated, _ = blocks(motor(more=ESTIMATED), wear={"C_f": np.ones(1)})
+    assert watch_columns.watched == (*PATHS, "flushing", "known")
     assert estimated.drives[:, 3] == pytest.approx(1.0)
     flow = motor(more=ESTIMATED).motor(FIRST, "estimated").constant
     assert estimated.flow == pytest.approx(without.flow + flow.configured_coefficient)
-    layout, fixed, _ = blocks(motor(more=FIXED))
-    assert layout.watched == (*PATHS, "known")
+    watch_columns, fixed, _ = blocks(motor(more=FIXED))
+    assert watch_columns.watched == (*PATHS, "known")
     assert fixed.flow == pytest.approx(without.flow)
 
 
@@ -101,11 +101,11 @@ def test_a_roller_whose_scale_is_free_is_a_path_of_its_own() -> None:
     spec = motor()
     _, stated, rows = blocks(spec)
     free = replace(spec, roller_is_free=True)
-    layout, found = read_by(free, rows)
-    (roller,) = set(layout.paths) - set(PATHS)
-    assert roller not in layout.gaps
-    assert layout.watched == layout.paths
-    at = layout.paths.index(roller)
+    watch_columns, found = read_by(free, rows)
+    (roller,) = set(watch_columns.paths) - set(PATHS)
+    assert roller not in watch_columns.gaps
+    assert watch_columns.watched == watch_columns.paths
+    at = watch_columns.paths.index(roller)
     scale = free.motor(FIRST, "none").column_paths[at].configured_coefficient
     assert scale * found.drives[:, at] == pytest.approx(stated.drives[:, -1])
     assert found.flow == pytest.approx(stated.flow)
@@ -127,9 +127,9 @@ def test_a_measured_oil_scales_what_it_drives() -> None:
 def test_statistics_of_other_columns_do_not_count() -> None:
     _, _, rows = blocks(motor())
     flushed = motor(more=ESTIMATED)
-    assert Layout.of(flushed, FIRST).blocks(flushed, rows) is not None
+    assert WatchColumns.of(flushed, FIRST).blocks(flushed, rows) is not None
     other = rows.with_columns(factor_columns=rows["factor_columns"].list.head(3))
-    assert Layout.of(motor(), FIRST).blocks(motor(), other) is None
+    assert WatchColumns.of(motor(), FIRST).blocks(motor(), other) is None
 
 
 def logged(spec: MotorSpec) -> MotorSpec:
@@ -141,16 +141,16 @@ def logged(spec: MotorSpec) -> MotorSpec:
 def test_the_oil_is_a_cause_unless_it_is_measured() -> None:
     """Kinematic viscosity of the VG 68 of the data sheet at 40 and 100 °C."""
     spec = motor()
-    layout = Layout.of(spec, FIRST)
-    assert layout.machine(spec, FIRST).oil == pytest.approx((68.0, 8.7), rel=1e-3)
-    assert layout.machine(logged(spec), FIRST).oil is None
+    watch_columns = WatchColumns.of(spec, FIRST)
+    assert watch_columns.machine(spec, FIRST).oil == pytest.approx((68.0, 8.7), rel=1e-3)
+    assert watch_columns.machine(logged(spec), FIRST).oil is None
 
 
 def test_drives_at_conditions_are_without_the_flushing() -> None:
     spec = motor(more=ESTIMATED)
-    layout = Layout.of(spec, FIRST)
+    watch_columns = WatchColumns.of(spec, FIRST)
     at = Conditions(200.0, 50.0, 30.0)
-    found = layout.drives_at(spec, FIRST, at)
+    found = watch_columns.drives_at(spec, FIRST, at)
     theta = [path.configured_coefficient for path in spec.motor(FIRST, "estimated").column_paths]
     # Design.md's placeholders: 1.371423 l/min at the reference conditions.
     assert np.asarray(found) @ [*theta, 4.0, 1.0] == pytest.approx(1.371423, rel=1e-6)
@@ -169,7 +169,7 @@ def history(
     records = blank_records([night_of(place) for place in range(n)])
     for name, values in columns.items():
         records[name] = values
-    return History(spec, Layout.of(spec, night_of(0)), records, said)
+    return History(spec, WatchColumns.of(spec, night_of(0)), records, said)
 
 
 def zeros(moved: np.ndarray, seed: int = 3) -> dict[str, np.ndarray]:

@@ -28,7 +28,7 @@ from pipeline.trends.tasks import (
     Circuit,
     NewestNight,
     TrendTask,
-    kept_file,
+    checkpoint_file,
 )
 from pipeline.workers.process import Loss
 from tests.pipeline.remembered import record_of
@@ -331,4 +331,4 @@ def test_a_broken_motor_takes_no_other_down(
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert {name: one.last_night for name, one in found.records.items()} == {"B": night_of(4)}
     assert found.records["B"].last_night == night_of(4)
-    assert kept_file(tmp_path / "staging", "B").exists()
+    assert checkpoint_file(tmp_path / "staging", "B").exists()

@@ -1,4 +1,4 @@
-"""What is kept of a motor for the next run: records of its nights, and the state of its watch.
+"""A motor's checkpoint for the next run: records of its nights, and the state of its watch.
 
 It only saves work: without it the watch begins with the baseline period's first night, by the
 stored blocks, and the same trends come out.
@@ -25,12 +25,12 @@ from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import RECORD, Records
 from pipeline.trends.nights.trend_record import trend_hash
 
-# Raise it when a watch is kept as other arrays.
-FORM = 4
+# Raise it when a watch is stored as other arrays.
+CHECKPOINT_VERSION = 4
 
 
 @dataclass(frozen=True, slots=True)
-class KeptWatch:
+class StoredWatch:
     """A motor's watch before its last night that was done, as numbers."""
 
     period: dt.date  # first night of its baseline period
@@ -40,13 +40,13 @@ class KeptWatch:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """What is kept of a motor; the watch is None while its baseline period has too few nights."""
+class WatchCheckpoint:
+    """A motor's checkpoint; the watch is None while its baseline period has too few nights."""
 
     key: str
     last_night: dt.date  # last night that was done
     records: Records
-    watch: KeptWatch | None
+    watch: StoredWatch | None
 
     def encoded(self) -> bytes:
         """As bytes, which prove themselves when they are decoded."""
@@ -62,8 +62,8 @@ class Kept:
         return packed
 
 
-def decoded(content: bytes | None) -> Kept | None:
-    """What is kept, from its bytes; None where there are none, or not as they were written."""
+def decoded(content: bytes | None) -> WatchCheckpoint | None:
+    """Return a checkpoint from its bytes; None without any, or where they are damaged."""
     try:
         stream = io.BytesIO(lz4.frame.decompress(content or b""))
         key, last_night, watch, forms = json.loads(stream.readline())
@@ -74,20 +74,20 @@ def decoded(content: bytes | None) -> Kept | None:
         records = arrays.pop("records").view(RECORD)
     except (RuntimeError, ValueError):  # damaged, or of another version
         return None
-    kept = Kept(key, dt.date.fromisoformat(last_night), records, None)
+    checkpoint = WatchCheckpoint(key, dt.date.fromisoformat(last_night), records, None)
     if watch is None:
-        return kept
+        return checkpoint
     period, own, day = watch
-    return replace(kept, watch=KeptWatch(dt.date.fromisoformat(period), own, day, arrays))
+    return replace(checkpoint, watch=StoredWatch(dt.date.fromisoformat(period), own, day, arrays))
 
 
 def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
-    """Hash of all that shapes what is kept of a motor beyond the tables."""
+    """Return the hash of all that shapes a motor's checkpoint beyond the tables."""
     return hash_of(
         {
             "trends": trend_hash(spec, decisions),
             "program": own_version(),
-            "form": FORM,
+            "form": CHECKPOINT_VERSION,
             "libraries": (np.__version__, scipy.__version__, pl.__version__),
             "records": str(RECORD.descr),
         }

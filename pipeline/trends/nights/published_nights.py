@@ -1,4 +1,4 @@
-"""Nights of motors from the published tables: most as kept by a run before, the others read."""
+"""Nights of motors as published: most by the checkpoint of a run before, the others read."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from pipeline.schema import (
 )
 from pipeline.schema.fits import NO_NEW_DATA, OK
 from pipeline.store.tables import nights_back, read_rows
+from pipeline.trends.nights.checkpoint import WatchCheckpoint
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import (
     OPERATED,
@@ -44,8 +45,7 @@ from pipeline.trends.nights.history import (
     period_at,
     periods_of,
 )
-from pipeline.trends.nights.kept import Kept
-from pipeline.trends.nights.layout import Layout
+from pipeline.trends.nights.watch_columns import WatchColumns
 
 Row = dict[str, Any]
 
@@ -78,7 +78,7 @@ class Wanted:
 
     spec: MotorSpec
     decisions: tuple[Decision, ...]
-    kept: Kept | None
+    checkpoint: WatchCheckpoint | None
     first: dt.date | None
     until: dt.date
     # Rows of nights as far as these fill them, which are not in `nights` yet.
@@ -87,18 +87,18 @@ class Wanted:
     @property
     def rows_from(self) -> dt.date:
         """First night whose rows are read."""
-        if self.kept is None:
+        if self.checkpoint is None:
             return dt.date.min
-        after = self.kept.last_night + dt.timedelta(days=1)
+        after = self.checkpoint.last_night + dt.timedelta(days=1)
         return after if self.first is None else min(self.first, after)
 
 
 @dataclass(slots=True)
-class MotorNights:
+class PublishedNights:
     """A motor's nights as the tables have them.
 
     The watch is told the nights from `beginning` on, be it for the other motors of its oil circuit
-    alone; None where nobody needs it. `resumes`: it goes on from what is kept.
+    alone; None where nobody needs it. `resumes`: it goes on from the checkpoint.
     """
 
     wanted: Wanted
@@ -159,10 +159,10 @@ class MotorNights:
         return agreement(factor, theta, channel.resolution).fit_percent
 
 
-def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, MotorNights]:
+def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, PublishedNights]:
     """The published nights of the motors of some oil circuits; of those without a night nothing."""
     read = _Rows(output, [one for circuit in circuits for one in circuit])
-    found: dict[str, MotorNights] = {}
+    found: dict[str, PublishedNights] = {}
     for circuit in circuits:
         told = [(one, history) for one in circuit if (history := _history(one, read)) is not None]
         begins = [
@@ -175,7 +175,7 @@ def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str,
             if since is not None:
                 # The others see it from the first night on that any of them is told.
                 beginning = _beginning(one, history, min(since, one.first or since))
-            found[motor_id] = MotorNights(
+            found[motor_id] = PublishedNights(
                 one,
                 history,
                 *beginning,
@@ -190,12 +190,12 @@ def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str,
 
 
 def read_blocks(
-    output: Path, spec: MotorSpec, layout: Layout, nights: Collection[dt.date]
+    output: Path, spec: MotorSpec, watch_columns: WatchColumns, nights: Collection[dt.date]
 ) -> list[NightBlocks]:
     """Blocks of some of a motor's nights, in order of time, without those that do not count."""
     rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
-    found = (_night_blocks(layout, layout.blocks(spec, part)) for part in parts)
+    found = (_night_blocks(watch_columns, watch_columns.blocks(spec, part)) for part in parts)
     return [one for one in found if one is not None]
 
 
@@ -256,8 +256,8 @@ def _history(wanted: Wanted, read: _Rows) -> History | None:
     motor_id = wanted.spec.motor_id
     rows, fits = read.nights[motor_id], read.fits[motor_id]
     known: Records = blank_records([])
-    if wanted.kept is not None:
-        before = wanted.kept.records
+    if wanted.checkpoint is not None:
+        before = wanted.checkpoint.records
         known = before[before["known"] & (before["night"] < np.datetime64(wanted.rows_from))]
     # A night of which a run only said that there is no log has no row of `fits`.
     labels = sorted(rows.keys() & fits.keys())
@@ -270,27 +270,27 @@ def _history(wanted: Wanted, read: _Rows) -> History | None:
     records = every_night(np.concatenate([known, new]), wanted.until)
     if not len(records):
         return None
-    layout = Layout.of(wanted.spec, wanted.until)
-    return History(wanted.spec, layout, records, wanted.decisions)
+    watch_columns = WatchColumns.of(wanted.spec, wanted.until)
+    return History(wanted.spec, watch_columns, records, wanted.decisions)
 
 
 def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.date, bool]:
     """From which night on a watch has to be told the nights, to tell one and those after it.
 
-    And whether it goes on from what is kept.
+    And whether it goes on from the checkpoint.
     """
-    if wanted.kept is None:
+    if wanted.checkpoint is None:
         return history.nights[0], False
     # The nights to come may begin a baseline period of their own: that of the night before decides.
     place = max(history.place_from(first) - 1, 0)
     period = history.nights[period_at(periods_of(history), place).first]
-    watch = wanted.kept.watch
+    watch = wanted.checkpoint.watch
     if watch is not None and watch.period == period and watch.day < first.toordinal():
-        return min(first, wanted.kept.last_night), True
+        return min(first, wanted.checkpoint.last_night), True
     return period, False
 
 
-def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:
+def _add_blocks(output: Path, motors: Mapping[str, PublishedNights]) -> None:
     """Read the blocks of the nights that the watches are to be told, some nights at a time."""
     needed = {name: motor.blocks_from for name, motor in motors.items()}
     for begin, some in _by_night(needed).items():
@@ -303,15 +303,15 @@ def _add_blocks(output: Path, motors: Mapping[str, MotorNights]) -> None:
                 _take(motors[name], night, part)
 
 
-def _take(motor: MotorNights, night: dt.date, rows: pl.DataFrame) -> None:
+def _take(motor: PublishedNights, night: dt.date, rows: pl.DataFrame) -> None:
     """Put a night's blocks into a motor's nights."""
     history = motor.history
     place = history.place_from(night)
     if place == len(history) or history.nights[place] != night:
         return
     history.records["model"][place] = rows["model_hash"][0]
-    stored = history.layout.blocks(history.spec, rows)
-    found = _night_blocks(history.layout, stored)
+    stored = history.watch_columns.blocks(history.spec, rows)
+    found = _night_blocks(history.watch_columns, stored)
     if stored is None or found is None:
         motor.excluded[night] = OTHER_KIND
         return
@@ -326,10 +326,10 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _night_blocks(layout: Layout, stored: StoredBlocks | None) -> NightBlocks | None:
+def _night_blocks(watch_columns: WatchColumns, stored: StoredBlocks | None) -> NightBlocks | None:
     """Blocks of a night as the watch takes them; None where they do not count."""
     if stored is None or stored.rows["model_hash"].n_unique() != 1:
         return None
-    found = layout.night_blocks(stored)
+    found = watch_columns.night_blocks(stored)
     is_finite = np.isfinite(found.drives).all() and np.isfinite(found.flow).all()
     return found if is_finite else None

@@ -25,7 +25,7 @@ MICROSECONDS = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class WatchColumns:
     """Paths of a motor, and where its stored statistics have them."""
 
     paths: tuple[str, ...]  # those with a free coefficient, in the order of the columns
@@ -39,8 +39,8 @@ class Layout:
     standard: tuple[int, float] | None = None
 
     @classmethod
-    def of(cls, spec: MotorSpec, night: dt.date) -> Layout:
-        """The layout of a motor; which night does not matter."""
+    def of(cls, spec: MotorSpec, night: dt.date) -> WatchColumns:
+        """The watch_columns of a motor; which night does not matter."""
         flushing = spec.file.flushing
         motor = spec.motor(night, flushing.mode)
         names = tuple(path.name for path in motor.column_paths)

@@ -1,4 +1,4 @@
-"""What is kept of a motor only saves work: the same rows come out without it, and in any order."""
+"""A checkpoint only saves work: the same rows come out without it, and in any order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from polars.testing import assert_frame_equal
 
 from pipeline.schema import ALARMS, NIGHTS, TRENDS, Table
 from pipeline.store.state import open_state
-from pipeline.trends.nights.trend_record import note_touched, read_kept
+from pipeline.trends.nights.trend_record import note_touched, read_checkpoint
 from tests.pipeline.remembered import change
 from tests.pipeline.trends.nights import (
     OIL,
@@ -95,9 +95,9 @@ def test_night_by_night_gives_what_one_run_gives(tmp_path: Path) -> None:
     assert last.select("state", "cause").rows() == [("common_cause", "tank")]
 
 
-def kept_of(output: Path) -> bytes:
+def checkpoint_of(output: Path) -> bytes:
     with open_state(output) as state:
-        return read_kept(state, "M1")
+        return read_checkpoint(state, "M1")
 
 
 def flip(content: bytes) -> bytes:
@@ -110,12 +110,17 @@ def test_without_what_was_kept_it_is_the_same_at_the_cost_of_time(
     tmp_path: Path, whole: dict[Table, pl.DataFrame], harm: str
 ) -> None:
     config, output = fleet_until(tmp_path, (WORN,), AT)
-    before = kept_of(output)
+    before = checkpoint_of(output)
     new_night(config, output, WORN.frames(), place=AT)
-    kept = kept_of(output)
+    content = checkpoint_of(output)
     # As a backup of one folder leaves it.
-    left = {"gone": None, "cut": kept[:-9], "changed": flip(kept), "of an earlier night": before}
-    change(output, "UPDATE trends SET kept = ? WHERE motor_id = 'M1'", left[harm])
+    left = {
+        "gone": None,
+        "cut": content[:-9],
+        "changed": flip(content),
+        "of an earlier night": before,
+    }
+    change(output, "UPDATE trends SET checkpoint = ? WHERE motor_id = 'M1'", left[harm])
     publish(output, part_of(WORN.frames(), AT + 1, N))
     run(config)
     check_same(rows(output), whole)

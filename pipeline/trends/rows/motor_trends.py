@@ -12,8 +12,8 @@ from pipeline.night.rows import Row, night_row
 from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Table
 from pipeline.schema.fits import NO_NEW_DATA
 from pipeline.trends.nights.decisions import LEAKAGE, is_withdrawn
-from pipeline.trends.nights.from_tables import NO_LOG
 from pipeline.trends.nights.history import OTHER_SETTINGS, periods_of
+from pipeline.trends.nights.published_nights import NO_LOG
 from pipeline.trends.rows.alarm_rows import alarm_rows, what_of
 from pipeline.trends.rows.motor_states import CHANGED, ORDER, STALE
 from pipeline.trends.rows.night_rows import log_note, state_columns
@@ -28,7 +28,7 @@ JUDGE = "Inspect it, enter what was done as an event, or reset the baseline: dat
 
 
 @dataclass(slots=True)
-class MadeTrends:
+class MotorTrends:
     """A motor's trends: rows by table, of the nights from a first one on.
 
     `changed` is the last night so far in which a change was in force; `stays` says why nights stay
@@ -44,7 +44,7 @@ class MadeTrends:
     drifts: dict[dt.date, dict[str, str]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, course: Course, first: dt.date, stays: Mapping[dt.date, str]) -> MadeTrends:
+    def of(cls, course: Course, first: dt.date, stays: Mapping[dt.date, str]) -> MotorTrends:
         """A motor of which no night is made yet."""
         zeros = sensor_zeros(course.nights.history)
         changed = _last_changed(course.nights.alarms, first)
@@ -55,8 +55,8 @@ class MadeTrends:
         """Nights with rows."""
         return [row["night"] for row in self.rows[NIGHTS]]
 
-    def judge(self, others: Sequence[Watch]) -> None:
-        """Make the rows of the night that was told last; `others` are the tank's other motors."""
+    def add_night(self, others: Sequence[Watch]) -> None:
+        """Make the rows of the watch's newest night; `others` are the tank's other motors."""
         self.course.know_circuit(others)
         night = self.course.state()
         label, nights, spec = night.night, self.course.nights, self.course.spec
