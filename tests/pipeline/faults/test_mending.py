@@ -125,7 +125,7 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     """
     path = night_file(output, FITS, NIGHT)
     rot_of_footer(path)
-    change(output, "UPDATE trends SET kept = NULL")
+    change(output, "UPDATE trends SET checkpoint = NULL")
     change(output, "DELETE FROM trends WHERE motor_id = 'M1'")
     result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}

@@ -31,7 +31,8 @@ from pipeline.trends.nights.history import (
 )
 from pipeline.trends.nights.watch_columns import WatchColumns
 from pipeline.trends.rows.trend_rows import oil_as_measured, viscosity_ratio
-from pipeline.trends.states.course import Course, WatchedNight
+from pipeline.trends.states.course import Course
+from pipeline.trends.states.night_state import NightState
 from pipeline.trends.states.zeros import HALF, Zero, sensor_zeros, tolerance
 from tests.pipeline.simulated import with_file
 from tests.pipeline.trends.nights import (
@@ -221,7 +222,7 @@ def test_a_pressure_zero_is_a_notice_until_it_moves_the_leakage(
     halts["pressure_zero_bar"][AT:] += 1.0
     halts["pressure_zero_upper"][AT:] += 1.0
     spec, at = motor(), Conditions(200.0, 50.0, 30.0)
-    layout, sensors = Layout.of(spec, FIRST), watched(halts, spec)
+    layout, sensors = WatchColumns.of(spec, FIRST), watched(halts, spec)
     paths = spec.motor(FIRST, "none").column_paths
     course = cast(
         Course,
@@ -230,7 +231,7 @@ def test_a_pressure_zero_is_a_notice_until_it_moves_the_leakage(
     n_known = len(course.drives_at(at, 0)) - len(paths)
     theta = (*(path.configured_coefficient for path in paths), *[1.0] * n_known)
     night = cast(
-        WatchedNight,
+        NightState,
         SimpleNamespace(
             place=N - 1,
             baseline=SimpleNamespace(own=at, coefficients=theta),
