@@ -43,9 +43,9 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     said: dict[int, list[tuple[int, Change]]] = {}
     for verdict in verdicts:
         if verdict.change is not None:
-            said.setdefault(verdict.change.told_on, []).append((verdict.day, verdict.change))
+            said.setdefault(verdict.change.detected_on, []).append((verdict.day, verdict.change))
     found = {
-        "told": [_told(told_on, of, change, cell) for told_on, of in said.items()],
+        "told": [_told(detected_on, of, change, cell) for detected_on, of in said.items()],
         "tonight": [*_missed(verdicts, newest_night), *_missed(verdicts, change)],
         "lack": round(verdicts[0].lack_of_fit, 4),
         "reached": int(reached[0]) if is_reached else None,
@@ -93,11 +93,11 @@ def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
     return [night for night in nights if night.day >= day]
 
 
-def _told(told_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
+def _told(detected_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
     """A change as it was detected, and ten nights later; a notice, once it becomes an alarm."""
     alarms = [one for one in said if one[1].cause not in NOTICES]
     night, first = (alarms or said)[0]
-    last, settled = [one for one in said if one[0] <= max(told_on + SETTLED, night)][-1]
+    last, settled = [one for one in said if one[0] <= max(detected_on + SETTLED, night)][-1]
     # Told against the nights before its begin, or against the baseline.
     begin = cell.event.begin or 0
     before = true[begin - 1] if begin > cell.baseline else 0.0

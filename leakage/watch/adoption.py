@@ -45,7 +45,7 @@ from leakage.watch.state import (
     NOTHING,
     UNCHANGED,
     ChangeInForce,
-    State,
+    WatchState,
     all_causes,
     change_in_force,
     is_contradicted,
@@ -57,8 +57,8 @@ from leakage.watch.state import (
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 
-def judged(state: State) -> State:
-    """With the evidence of the newest night; a change is detected where it is enough."""
+def test_for_change(state: WatchState) -> WatchState:
+    """Return With the evidence of the newest night; a change is detected where it is enough."""
     if state.first_step > state.day:
         return replace(state, evidence=NOTHING)
     evidence = state.evidence_now()
@@ -66,12 +66,12 @@ def judged(state: State) -> State:
     frequent = weighed.often - math.log(2 * len(evidence.causes))
     if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_places(weighed.window)):
         return _with_odd_nights(weighed)
-    is_told = weighed.evidence >= state.settings.limit or nights_beyond(weighed) > 1
-    return _told(weighed) if is_told else weighed
+    is_detected = weighed.evidence >= state.settings.limit or nights_beyond(weighed) > 1
+    return _detect(weighed) if is_detected else weighed
 
 
-def with_evidence(state: State, evidence: Evidence, first: int) -> State:
-    """With what the newest night and those before it say of starts from a place on."""
+def with_evidence(state: WatchState, evidence: Evidence, first: int) -> WatchState:
+    """Return With what the newest night and those before it say of starts from a place on."""
     starts, weights = starts_of(first, len(state.window) - 1)
     log_ratio = evidence.of_starts(starts).log_ratio
     newest_night = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
@@ -79,13 +79,13 @@ def with_evidence(state: State, evidence: Evidence, first: int) -> State:
     often = np.logaddexp(0.0, state.often) - odd
     often += np.logaddexp(math.log(1 - choices.OFTEN), math.log(choices.OFTEN) + newest_night)
     window = replace(state.window, odd=np.append(state.window.odd[:-1], odd))
-    told = np.logaddexp.reduce(log_ratio, axis=(0, 2))
-    certain = told - of_odd_night(evidence, window, starts, told)
-    found = float(np.logaddexp.reduce(certain + weights))
-    return replace(state, window=window, evidence=found, often=float(often))
+    by_start = np.logaddexp.reduce(log_ratio, axis=(0, 2))
+    certain = by_start - of_odd_night(evidence, window, starts, by_start)
+    total = float(np.logaddexp.reduce(certain + weights))
+    return replace(state, window=window, evidence=total, often=float(often))
 
 
-def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array) -> Array:
+def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: Array) -> Array:
     """Return what one odd night since each start accounts for, shape (k,) (model.md, 7c.1).
 
     One odd night is no change. What the oddest says alone is what all nights say less what they say
@@ -98,14 +98,14 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, told: Array
     otherwise = evidence.operates_otherwise(starts)
     usual = np.flatnonzero(~otherwise & (starts < len(window) - 1))
     if len(usual) and not len(odd_places(window)):
-        alone = told[usual] - _without(evidence, starts[usual], oddest[usual])
+        alone = by_start[usual] - _without(evidence, starts[usual], oddest[usual])
         odd[usual] = np.minimum(odd[usual], _odd(alone))
     ages = len(window) - starts
-    doubtful = otherwise & (told > choices.LEFT_OUT_FROM) & (ages <= choices.DENSE_STARTS)
+    doubtful = otherwise & (by_start > choices.LEFT_OUT_FROM) & (ages <= choices.DENSE_STARTS)
     for place in np.flatnonzero(doubtful).tolist():
         nights = np.arange(starts[place], len(window))
         rest = _without(evidence, np.full(len(nights), starts[place]), nights)
-        odd[place] = _odd(told[place] - rest.min())
+        odd[place] = _odd(by_start[place] - rest.min())
     return odd
 
 
@@ -122,17 +122,19 @@ def _odd(alone: Array) -> Array:
     return np.maximum(odd, 0.0)
 
 
-def _told(state: State) -> State:
-    """A change detected in the newest night, unless the flow has hardly changed."""
+def _detect(state: WatchState) -> WatchState:
+    """Return a change detected in the newest night, unless the flow has hardly changed."""
     evidence = state.evidence_now()
-    found = attribute(evidence, state.baseline, _starts_until(state, state.day))
-    if abs(found.leakage.value) < choices.LEAST_CHANGE:
+    attribution = attribute(evidence, state.baseline, _starts_until(state, state.day))
+    if abs(attribution.leakage.value) < choices.LEAST_CHANGE:
         return state
-    detected = replace(state, in_force=in_force_of(state, evidence, found, told_on=state.day))
+    detected = replace(
+        state, in_force=in_force_of(state, evidence, attribution, detected_on=state.day)
+    )
     return state if state.in_force is None and is_contradicted(detected) else detected
 
 
-def settling(state: State) -> State:
+def settling(state: WatchState) -> WatchState:
     """Return a change that settles as the nights up to now show it (model.md, 7c.1).
 
     What reverses it is a change of its own at once. It is withdrawn where the interval of what it
@@ -152,100 +154,100 @@ def settling(state: State) -> State:
     return replace(state, in_force=None) if is_withdrawn and is_contradicted(state) else state
 
 
-def _reversal(state: State) -> State | None:
+def _reversal(state: WatchState) -> WatchState | None:
     """The change that settles, adopted as it was, with a reversal detected; None without one.
 
     A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
     """
-    behind = judged(_taken_for_granted(state))
+    behind = test_for_change(_taken_for_granted(state))
     before, now = state.in_force, behind.in_force
     assert before is not None
     assert now is not None
-    if now.found is None or now.change.is_rise == before.change.is_rise:
+    if now.attribution is None or now.change.is_rise == before.change.is_rise:
         return None
     return None if before.prior is None and present(behind).holds_zero else behind
 
 
-def settled(state: State) -> State:
-    """With the change that was detected, as the nights up to now show it."""
+def settled(state: WatchState) -> WatchState:
+    """Return With the change that was detected, as the nights up to now show it."""
     assert state.in_force is not None
-    assert state.in_force.found is not None
+    assert state.in_force.attribution is not None
     evidence = state.evidence_now()
-    told_on = state.in_force.change.told_on
-    found = attribute(evidence, state.baseline, _starts_until(state, told_on))
+    detected_on = state.in_force.change.detected_on
+    attribution = attribute(evidence, state.baseline, _starts_until(state, detected_on))
     # It came between the dates of all nights: what comes in few nights is neither step nor ramp,
     # and what grows ever faster seems to begin later and later.
-    lower, since, upper = found.since
-    before = state.in_force.found.since
+    lower, since, upper = attribution.since
+    before = state.in_force.attribution.since
     dates = min(lower, before[0]), min(since, before[1]), max(upper, before[2])
-    found = replace(found, since=dates)
+    attribution = replace(attribution, since=dates)
     circuit = state.in_force.circuit
-    return replace(state, in_force=in_force_of(state, evidence, found, told_on, circuit))
+    return replace(state, in_force=in_force_of(state, evidence, attribution, detected_on, circuit))
 
 
-def _starts_until(state: State, told_on: int) -> Places:
-    """Starts that a change may have which is detected on a day."""
-    return np.arange(state.place(state.first_ramp), state.place(told_on) + 1)
+def _starts_until(state: WatchState, detected_on: int) -> Places:
+    """Return starts that a change may have which is detected on a day."""
+    return np.arange(state.place(state.first_ramp), state.place(detected_on) + 1)
 
 
 def in_force_of(
-    state: State,
+    state: WatchState,
     evidence: Evidence,
-    found: Attribution,
-    told_on: int,
+    attribution: Attribution,
+    detected_on: int,
     circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
-    """The change that is detected from a day on, with its name."""
-    name = _named(state, evidence, found)
-    prior = _before(state, told_on)
-    is_rise = found.leakage.value > 0.0
+    """Return the change that is detected from a day on, with its name."""
+    name = _named(state, evidence, attribution)
+    prior = _before(state, detected_on)
+    is_rise = attribution.leakage.value > 0.0
     if circuit is not None and circuit.is_common:
         name = replace(name, cause=TANK, probability=circuit.probability, alike=())
     goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
     cause, probability, alike = name.cause, name.probability, name.alike
     # What goes on began where it was detected first, and keeps its name.
-    lower, since, upper = found.since
+    lower, since, upper = attribution.since
     if prior is not None and goes_on:
         since, lower, upper = prior.change.dates
         if cause == CANNOT_BE_TOLD:
             cause, probability = prior.change.cause, prior.change.probability
             alike = alike or prior.change.alike
-    growth = state.growth_of(cause, found.leakage)
+    growth = state.growth_of(cause, attribution.leakage)
     if prior is not None and goes_on and prior.change.cause == cause:
-        growth = grown_as(prior.change, found.leakage)
+        growth = grown_as(prior.change, attribution.leakage)
     change = Change(
         cause,
         probability,
         name.candidates,
         alike,
         is_rise,
-        found.shape,
+        attribution.shape,
         since,
         lower,
         upper,
-        told_on,
-        found.leakage,
+        detected_on,
+        attribution.leakage,
         growth,
         name.likeliest.grade,
         goes_on,
     )
     if prior is not None and goes_on:
-        return replace(prior, change=change, found=found, prior=prior, circuit=circuit)
+        return replace(prior, change=change, attribution=attribution, prior=prior, circuit=circuit)
     along, of_leakage, before = state.baseline.leakage_flows, 1.0, UNCHANGED
     if prior is not None:
-        start = state.place(found.start)
+        start = state.place(attribution.start)
         before = on_first_baseline(state, slice(max(0, start - choices.PRESENT_NIGHTS), start))
     elif name.cause == name.likeliest.name and name.cause not in (BACK, TEMPERATURE_EFFECT):
         along = name.likeliest.direction
         of_leakage = share_of_leakage(name.likeliest, state.baseline)
-    return ChangeInForce(change, along, of_leakage, before, found, prior, circuit)
+    return ChangeInForce(change, along, of_leakage, before, attribution, prior, circuit)
 
 
-def _named(state: State, evidence: Evidence, found: Attribution) -> Name:
+def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> Name:
     """The name of a change; its cause is open until the evidence has reached the limit (7c.8)."""
-    name = name_of(evidence, state.machine, state.baseline, found.start, found.drain)
+    name = name_of(evidence, state.machine, state.baseline, attribution.start, attribution.drain)
     before = state.in_force
-    is_open = before is None or before.found is None or not before.change.candidates
+    is_open = before is None or before.attribution is None or not before.change.candidates
     if is_open and state.evidence < state.settings.limit:
         return replace(name, cause=CANNOT_BE_TOLD, probability=0.0, candidates={}, alike=())
     return name
@@ -263,10 +265,10 @@ def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
     return before.shape == RAMPS and bool(alike)
 
 
-def _before(state: State, told_on: int) -> ChangeInForce | None:
-    """What was in force before the change that is detected from a day on."""
+def _before(state: WatchState, detected_on: int) -> ChangeInForce | None:
+    """Return what was in force before the change that is detected from a day on."""
     in_force = state.in_force
-    if in_force is None or in_force.change.told_on == told_on:
+    if in_force is None or in_force.change.detected_on == detected_on:
         return None if in_force is None else in_force.prior
     return replace(in_force, prior=None)
 
@@ -283,8 +285,8 @@ def odd_places(window: Window) -> Places:
     return odd if len(odd) <= choices.MOST_ODD * (len(window) - odd[0]) else odd[:0]
 
 
-def _with_odd_nights(state: State) -> State:
-    """With odd nights told that come again and again, unless another change is in force."""
+def _with_odd_nights(state: WatchState) -> WatchState:
+    """Return With odd nights told that come again and again, unless another change is in force."""
     if state.in_force is not None and state.in_force.change.cause != ODD_NIGHTS:
         return replace(state, often=NOTHING)
     places, again = odd_places(state.window), state.in_force is not None
@@ -320,21 +322,21 @@ def begin(
     nights: Sequence[NightBlocks],
     settings: WatchSettings,
     prior: WanderPrior | None = None,
-) -> State:
-    """The state after the nights of a baseline."""
+) -> WatchState:
+    """Return the state after the nights of a baseline."""
     baseline = baseline_of(machine, nights)
-    told = [baseline.information(night) for night in nights]
+    of_nights = [baseline.information(night) for night in nights]
     window = Window(
         np.array([night.day for night in nights]),
-        np.array([information for information, _ in told]),
-        np.array([score for _, score in told]),
+        np.array([information for information, _ in of_nights]),
+        np.array([score for _, score in of_nights]),
         np.array([baseline.distance(night) for night in nights]),
         np.zeros(len(nights)),
         baseline.columns.prior(),
         np.zeros(baseline.columns.n),
     )
     wander = wander_of(baseline, window, prior or WanderPrior())
-    return State(
+    return WatchState(
         machine,
         settings,
         baseline,
@@ -350,46 +352,48 @@ def begin(
     )
 
 
-def adopted(state: State) -> State:
+def adopted(state: WatchState) -> WatchState:
     """Ten nights after it was detected a change is taken for granted, and the watch goes on."""
     in_force = state.in_force
-    if in_force is None or in_force.found is None:
+    if in_force is None or in_force.attribution is None:
         return state
-    if len(state.window) - 1 - state.place(in_force.change.told_on) < choices.SETTLE:
+    if len(state.window) - 1 - state.place(in_force.change.detected_on) < choices.SETTLE:
         return state
     return _taken_for_granted(settled(state))
 
 
-def _taken_for_granted(told: State) -> State:
-    """The watch behind a change, of which its attribution and what errs in it is known."""
-    state, now = told, told.in_force
+def _taken_for_granted(final: WatchState) -> WatchState:
+    """Return the watch behind a change, of which its attribution and what errs in it is known."""
+    state, now = final, final.in_force
     assert now is not None
-    assert now.found is not None
-    found = now.found
-    causes = told.evidence_now().causes
-    likeliest, size = causes.every[found.likeliest], found.size.value
+    assert now.attribution is not None
+    attribution = now.attribution
+    causes = final.evidence_now().causes
+    likeliest, size = causes.every[attribution.likeliest], attribution.size.value
     along, of_flow = likeliest.direction, share_of_flow(likeliest, state.baseline)
     several = now.change.several
     if now.change.is_several:
         # What several causes have done is what the level of all flows says.
-        level = change_in_force(told)
+        level = change_in_force(final)
         assert level is not None
         along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
         size = level.size.value
     flow = abs(size * of_flow)
-    start = state.place(found.start)
-    before, score = (one[0] for one in state.sums.before(np.array([start]), state.window))
+    start = state.place(attribution.start)
+    before, score = (part[0] for part in state.sums.before(np.array([start]), state.window))
     # Where several changed at once, each may have, one sign by half of it.
-    weights = (1.0 - several) * found.weights + several / 2.0 * causes.is_half
+    weights = (1.0 - several) * attribution.weights + several / 2.0 * causes.is_half
     freed = np.eye(len(score)) + before @ _left_free(state, causes, weights, size, flow)
     window = state.window.from_night(
         start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
     )
     # What rises on is of no baseline period yet: its own begins where it was detected.
-    told_on = now.change.told_on
-    period_from = max(found.start, told_on) if found.shape == RAMPS else found.start
+    detected_on = now.change.detected_on
+    period_from = (
+        max(attribution.start, detected_on) if attribution.shape == RAMPS else attribution.start
+    )
     return replace(
-        told,
+        final,
         window=window,
         sums=Sums.of(window, state.wander),
         causes=all_causes(
@@ -397,17 +401,19 @@ def _taken_for_granted(told: State) -> State:
             state.baseline,
             [back_as_before(along, size)],
         ),
-        first_step=told_on + 1,
-        first_ramp=told_on + 1,
+        first_step=detected_on + 1,
+        first_ramp=detected_on + 1,
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
-        in_force=replace(now, found=None, prior=None),
+        in_force=replace(now, attribution=None, prior=None),
     )
 
 
-def _left_free(state: State, causes: Causes, weights: Array, size: float, flow: float) -> Array:
-    """Covariance of what an adopted change may be beside its attribution, shape (q, q)."""
+def _left_free(
+    state: WatchState, causes: Causes, weights: Array, size: float, flow: float
+) -> Array:
+    """Return covariance of what an adopted change may be beside its attribution, shape (q, q)."""
     variance = choices.STEP_SIZE**2 + size**2
     directions = causes.directions
     left = (directions * (weights * variance)) @ directions.T
@@ -420,7 +426,7 @@ def _left_free(state: State, causes: Causes, weights: Array, size: float, flow: 
     return left + np.diag(sd**2)
 
 
-def with_new_wander(state: State) -> State:
+def with_new_wander(state: WatchState) -> WatchState:
     """With Q and φ of more nights, where it is time and nothing may be about to be detected."""
     so_far = state.n_nights - 1
     if state.is_settling or not state.due or so_far < state.due:
@@ -434,8 +440,8 @@ def with_new_wander(state: State) -> State:
     return replace(state, wander=wander, sums=Sums.of(state.window, wander), due=due)
 
 
-def new_period(state: State, earlier: Earlier) -> State:
-    """The watch by a baseline of the nights since a large change: it is another machine."""
+def new_period(state: WatchState, earlier: Earlier) -> WatchState:
+    """Return the watch by a baseline of the nights since a large change: it is another machine."""
     assert state.period_from is not None
     if len(state.window) - state.place(state.period_from) < choices.PERIOD_NIGHTS:
         return state
@@ -464,10 +470,10 @@ def new_period(state: State, earlier: Earlier) -> State:
     )
 
 
-def at_rest(state: State) -> State:
-    """Without a change in force where the flow is back where it was."""
+def at_rest(state: WatchState) -> WatchState:
+    """Return Without a change in force where the flow is back where it was."""
     in_force = state.in_force
-    if in_force is None or in_force.found is not None:
+    if in_force is None or in_force.attribution is not None:
         return state
     if in_force.change.cause == ODD_NIGHTS:
         odd = state.window.days[state.window.odd > 1.0]
@@ -477,12 +483,12 @@ def at_rest(state: State) -> State:
     return replace(state, in_force=None) if is_over else state
 
 
-def shortened(state: State) -> State:
-    """Without the oldest nights, where they are many: they are summed up."""
+def shortened(state: WatchState) -> WatchState:
+    """Return Without the oldest nights, where they are many: they are summed up."""
     if len(state.window) < choices.WINDOW + choices.WINDOW_SLACK:
         return state
     first = len(state.window) - choices.WINDOW
-    before, score = (one[0] for one in state.sums.before(np.array([first]), state.window))
+    before, score = (part[0] for part in state.sums.before(np.array([first]), state.window))
     window = replace(state.window.from_night(first, before, score), odd=state.window.odd[first:])
     return replace(state, window=window, sums=Sums.of(window, state.wander))
 
@@ -490,7 +496,7 @@ def shortened(state: State) -> State:
 def wander_of(
     baseline: Baseline, window: Window, prior: WanderPrior, n_nights: int | None = None
 ) -> Wander:
-    """Wander of a window's first nights; of all of them where no number is given."""
+    """Return wander of a window's first nights; of all of them where no number is given."""
     return estimate_wander(
         window.information[:n_nights],
         window.score[:n_nights],

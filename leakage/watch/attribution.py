@@ -65,24 +65,26 @@ class Name:
 
 
 def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribution:
-    """The change that begins at one of some starts in order, by the nights up to the newest.
+    """Return the change that begins at one of some starts in order, by the nights up to the newest.
 
     Neither other operating conditions nor odd nights move its start: with them it moved by 2 to 8
     nights.
     """
-    told = evidence.of_starts(starts, by_operation=False)
-    weights = np.exp(told.log_ratio - told.log_ratio.max())
+    by_start = evidence.of_starts(starts, by_operation=False)
+    weights = np.exp(by_start.log_ratio - by_start.log_ratio.max())
     weights /= weights.sum()
     of_starts, of_causes = weights.sum(axis=(0, 2)), weights.sum(axis=(0, 1))
     likeliest = int(of_causes.argmax())
     days = evidence.window.days
-    of_dates = np.exp(choices.DATES * (told.log_ratio - told.log_ratio.max())).sum(axis=(0, 2))
+    of_dates = np.exp(choices.DATES * (by_start.log_ratio - by_start.log_ratio.max())).sum(
+        axis=(0, 2)
+    )
     places = np.searchsorted(of_dates.cumsum() / of_dates.sum(), INTERVAL)
     since = days[starts[np.minimum(places, len(starts) - 1)]].tolist()
     # A size that the nights tell well is theirs, not the prior's.
-    is_own = (told.second * told.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
-    value = np.where(is_own, told.first / told.second, told.size)
-    sd = np.where(is_own, 1.0 / np.sqrt(told.second), told.sd)
+    is_own = (by_start.second * by_start.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
+    value = np.where(is_own, by_start.first / by_start.second, by_start.size)
+    sd = np.where(is_own, 1.0 / np.sqrt(by_start.second), by_start.sd)
     rise = np.ones((len(SHAPES), len(starts), 1))
     rise[RAMP, :, 0] = evidence.risen(starts)
     value, sd = value * rise, sd * rise
@@ -135,7 +137,7 @@ def share_of_leakage(cause: Cause, baseline: Baseline) -> float:
 
 
 def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
-    """A size over starts and shapes, with the share of it that may be missed."""
+    """Return a size over starts and shapes, with the share of it that may be missed."""
     weights = weights / weights.sum()
     mean = float((weights * value).sum())
     variance = float((weights * (sd**2 + value**2)).sum()) - mean**2
@@ -163,7 +165,7 @@ def name_of(
     for name, weight in zip(names, weights.tolist(), strict=True):
         by_name[name] = by_name.get(name, 0.0) + weight
     groups = _together(by_name, machine, baseline)
-    cause, probability = _told(groups, by_name, causes.every[likeliest].name)
+    cause, probability = _identified(groups, by_name, causes.every[likeliest].name)
     alike = _alike(causes, evidence.tempered, at, change, score, likeliest, machine)
     known = {name: value for name, value in by_name.items() if value > LEAST_PROBABILITY}
     candidates = dict(sorted(known.items(), key=lambda candidate: -candidate[1]))
@@ -212,7 +214,7 @@ def _between(
     window, p = evidence.window, baseline.n_paths
     (of_after, *_), (of_score, _) = evidence.since(at)
     after, score = of_after[0], of_score[0]
-    before, score_before = (one[0] for one in evidence.sums.before(at, window))
+    before, score_before = (part[0] for part in evidence.sums.before(at, window))
     error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
     variance = np.full(len(score), error**2)
     beyond = float(evidence.operating_beyond(at)[0])
@@ -251,7 +253,7 @@ def _log_ratios(
 
 
 def _several(causes: Causes, first: Array, matrix: Array) -> tuple[float, float]:
-    """Twice the gain of ln likelihood of several causes at once, and ln of their width."""
+    """Return twice the gain of ln likelihood of several causes at once, and ln of their width."""
     # Each that has two signs, by half of its prior's variance in either.
     each = np.where(causes.is_half, causes.spread / math.sqrt(2.0), 0.0)
     inner = np.eye(len(each)) + each[:, None] * matrix * each
@@ -262,7 +264,7 @@ def _several(causes: Causes, first: Array, matrix: Array) -> tuple[float, float]
 def _together(
     by_name: Mapping[str, float], machine: Machine, baseline: Baseline
 ) -> dict[frozenset[str], float]:
-    """Probabilities of the names that can be identified: some stand for several causes."""
+    """Return probabilities of the names that can be identified: some stand for several causes."""
     groups: dict[str, frozenset[str]] = {}
     free = sum(name in machine.gaps for name in machine.paths)
     if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY or free < 2:
@@ -270,7 +272,7 @@ def _together(
     if not baseline.identifies_gaps:
         # What is taken as known is distinguished from gaps by pressures, too.
         parts = {*machine.paths, ALL_GAPS} - {FLUSHING}
-        alike = frozenset(one for one in by_name if parts.issuperset(one.split(AND)))
+        alike = frozenset(other for other in by_name if parts.issuperset(other.split(AND)))
         groups |= dict.fromkeys(alike, alike)
     if not baseline.identifies_speed:
         alike = groups.get(ALL_GAPS, frozenset((ALL_GAPS,))) | groups.get(
@@ -279,18 +281,18 @@ def _together(
         groups |= dict.fromkeys(alike, alike)
     if by_name.get(BACK, 0.0) > choices.MOSTLY:
         # What undoes a change is its cause in the other direction.
-        others = {name: one for name, one in by_name.items() if name not in (BACK, SEVERAL)}
+        others = {name: share for name, share in by_name.items() if name not in (BACK, SEVERAL)}
         nearest = max(others, key=others.__getitem__)
         alike = groups.get(nearest, frozenset((nearest,))) | {BACK}
         groups |= dict.fromkeys(alike, alike)
-    told: dict[frozenset[str], float] = {}
+    shared: dict[frozenset[str], float] = {}
     for name, probability in by_name.items():
         group = groups.get(name, frozenset((name,)))
-        told[group] = told.get(group, 0.0) + probability
-    return told
+        shared[group] = shared.get(group, 0.0) + probability
+    return shared
 
 
-def _told(
+def _identified(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
     """The name of the likeliest group, or that it cannot be identified, and its probability."""

@@ -69,16 +69,16 @@ class Columns:
         return 2 * self.n_paths + N_TEMPERATURE
 
     def expected(self, drives: Array) -> Array:
-        """Expected flow ŷ of drives of shape (b, p), shape (b,), [l/min]."""
+        """Return expected flow ŷ of drives of shape (b, p), shape (b,), [l/min]."""
         flow: Array = (drives * self.sign) @ self.theta
         return flow
 
     def scale(self, expected: Array) -> Array:
-        """What residuals are divided by, [l/min]."""
+        """Return what residuals are divided by, [l/min]."""
         return np.maximum(expected, self.least_scale)
 
     def design(self, drives: Array, conditions: Array, scale: Array) -> Array:
-        """What a unit of each unknown does to the residuals of some blocks, shape (b, q)."""
+        """Return what a unit of each unknown does to the residuals of some blocks, shape (b, q)."""
         of_scale = self.expected(drives) / scale
         paths = drives * self.sign * self.unit / scale[:, None]
         warmer = (conditions[:, 0] - self.temperature_c) / 10.0
@@ -95,7 +95,7 @@ class Columns:
         return np.concatenate(parts, axis=1)
 
     def of_night(self, night: NightBlocks) -> tuple[Array, Array]:
-        """Design, shape (b, q), and residuals, shape (b,), of a night's blocks."""
+        """Return design, shape (b, q), and residuals, shape (b,), of a night's blocks."""
         expected = self.expected(night.drives)
         scale = self.scale(expected)
         design = self.design(night.drives, night.conditions, scale)
@@ -108,7 +108,7 @@ class Columns:
         return np.concatenate([shares, night.conditions[:, 1:].mean(axis=0)])
 
     def prior(self) -> Array:
-        """Information that the unknowns have before any night, shape (q, q)."""
+        """Return information that the unknowns have before any night, shape (q, q)."""
         sd = np.full(self.n, choices.SURFACE_PRIOR)
         sd[: self.n_paths] = choices.PATH_PRIOR
         sd[self.n_paths : self.n_paths + N_TEMPERATURE] = choices.TEMPERATURE_PRIOR
@@ -119,7 +119,7 @@ class Columns:
 
 
 def hat_functions(values: Array, knots: Array) -> Array:
-    """Piecewise linear functions that are 1 at one knot and 0 at the others, shape (b, k).
+    """Return piecewise linear functions that are 1 at one knot and 0 at the others, shape (b, k).
 
     Constant beyond the first and the last knot.
 
@@ -136,11 +136,11 @@ def hat_functions(values: Array, knots: Array) -> Array:
 def knots_at(values: Array, quantiles: Sequence[float], apart: float) -> Array:
     """Knots at quantiles of some values, without those nearer than a share of the largest."""
     least = apart * max(float(values.max()), 1e-9)
-    kept: list[float] = []
+    knots_apart: list[float] = []
     for knot in np.quantile(values, quantiles).tolist():
-        if not kept or knot - kept[-1] > least:
-            kept.append(knot)
-    return np.array(kept)
+        if not knots_apart or knot - knots_apart[-1] > least:
+            knots_apart.append(knot)
+    return np.array(knots_apart)
 
 
 # Tolerances of the errors' logarithms, of fits of coefficients and errors in turn: a fourth changes
@@ -239,7 +239,7 @@ class Baseline:
         return error / self.share
 
     def information(self, night: NightBlocks) -> tuple[Array, Array]:
-        """Information about z − z₀, shape (q, q), and score, shape (q,), of a night."""
+        """Return information about z − z₀, shape (q, q), and score, shape (q,), of a night."""
         design, residuals = self.columns.of_night(night)
         residuals = residuals - design @ self.unknowns
         return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
@@ -253,7 +253,7 @@ class Baseline:
 
 
 def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
-    """The baseline of some nights.
+    """Return the baseline of some nights.
 
     θ₀ ≥ 0, effect of temperature and surface are fitted together, by generalised least squares;
     clipping θ₀ afterwards would put the expected flow off.
@@ -305,7 +305,7 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
 
 
 def varies(values: Array) -> bool:
-    """True if a quantity leaves ± 20 % of its middle.
+    """Return whether a quantity leaves ± 20 % of its middle.
 
     Examples
     --------
@@ -317,7 +317,7 @@ def varies(values: Array) -> bool:
 
 
 def _first_guess(drives: Array, flow: Array) -> Array:
-    """θ ≥ 0 by weighted least squares, leaning a little to equal shares, shape (p,)."""
+    """Return θ ≥ 0 by weighted least squares, leaning a little to equal shares, shape (p,)."""
     p, mean = drives.shape[1], float(flow.mean())
     usual = np.maximum(np.abs(drives).mean(axis=0), 1e-12) / mean
     weights = 1.0 / np.maximum(flow, choices.LEAST_UNIT * mean)
@@ -332,9 +332,9 @@ def _fit(
     columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
 ) -> tuple[Array, Array, BlockErrors, Array]:
     """θ ≥ 0, the other unknowns, the errors of what is left, and the paths' standard errors."""
-    p, told = columns.n_paths, [columns.of_night(night) for night in nights]
+    p, designs = columns.n_paths, [columns.of_night(night) for night in nights]
     information, score = columns.prior(), np.zeros(columns.n)
-    for night, (design, residuals) in zip(nights, told, strict=True):
+    for night, (design, residuals) in zip(nights, designs, strict=True):
         covariance = errors.covariance(night.middle_s, with_night=True)
         weighted = np.linalg.solve(covariance, np.column_stack([design, residuals]))
         information = information + design.T @ weighted[:, :-1]
@@ -348,13 +348,13 @@ def _fit(
     root = np.linalg.cholesky(information).T
     least = np.where(np.arange(columns.n) < p, 0.0, -np.inf)
     wanted = np.linalg.solve(root.T, score) + root @ before
-    found = lsq_linear(root, wanted, (least, np.inf), method="bvls").x
+    fitted = lsq_linear(root, wanted, (least, np.inf), method="bvls").x
     rest = [
-        (night.middle_s, residuals - design @ (found - before))
-        for night, (design, residuals) in zip(nights, told, strict=True)
+        (night.middle_s, residuals - design @ (fitted - before))
+        for night, (design, residuals) in zip(nights, designs, strict=True)
     ]
-    unknowns = np.where(np.arange(columns.n) < p, 0.0, found)
-    theta = np.maximum(columns.unit * found[:p], 0.0)
+    unknowns = np.where(np.arange(columns.n) < p, 0.0, fitted)
+    theta = np.maximum(columns.unit * fitted[:p], 0.0)
     path_sd = np.sqrt(np.diag(np.linalg.inv(information))[:p])
     return theta, unknowns, estimate_errors(rest, errors, tolerance), path_sd
 
@@ -371,6 +371,6 @@ def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
 
 
 def _missed(columns: Columns, unknowns: Array, nights: Sequence[NightBlocks], first: int) -> float:
-    """Root mean square share of the flow that the unknowns from a place on explain."""
+    """Return root mean square share of the flow that the unknowns from a place on explain."""
     missed = [columns.of_night(night)[0][:, first:] @ unknowns[first:] for night in nights]
     return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))

@@ -48,7 +48,7 @@ class Cause:
 
 
 def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
-    """All causes of a motor, both signs."""
+    """Return all causes of a motor, both signs."""
     unknown = np.eye(baseline.columns.n)
     # Under a wrong model a gap can do what a zero does.
     has_zero = baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
@@ -64,7 +64,7 @@ def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
 
 
 def back_as_before(direction: Array, size: float = 1.0) -> Cause:
-    """The cause that a change is undone."""
+    """Return the cause that a change is undone."""
     return Cause(BACK, -size * direction, 1.0, choices.BACK_SPREAD)
 
 
@@ -92,12 +92,12 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
         yield from _both(ALL_GAPS, every)
     # Under a wrong model two gaps can do what one does.
     if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY:
-        for (one, first), (other, second) in combinations(gaps.items(), 2):
-            yield Cause(one + AND + other, first + second)
+        for (gap, first), (other, second) in combinations(gaps.items(), 2):
+            yield Cause(gap + AND + other, first + second)
 
 
 def _by_oil(machine: Machine, baseline: Baseline) -> Array:
-    """All flows that follow the oil's viscosity: a flushing does not."""
+    """Return all flows that follow the oil's viscosity: a flushing does not."""
     direction = baseline.all_flows
     direction[: baseline.n_paths] *= [name != FLUSHING for name in machine.paths]
     return direction
@@ -113,12 +113,12 @@ def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> I
 
     def direction(factor: Array) -> Array:
         """Of a factor less 1 at T₀, T₀ + 5 K and T₀ − 5 K, for a size of 1 at T₀."""
-        found = _by_oil(machine, baseline)
+        along = _by_oil(machine, baseline)
         half = STEP_K / 10.0
         straight, bent = baseline.n_paths, baseline.n_paths + 1
-        found[straight] += (factor[1] - factor[2]) / (2.0 * half * factor[0])
-        found[bent] += ((factor[1] + factor[2]) / factor[0] - 2.0) / (2.0 * half**2)
-        return found
+        along[straight] += (factor[1] - factor[2]) / (2.0 * half * factor[0])
+        along[bent] += ((factor[1] + factor[2]) / factor[0] - 2.0) / (2.0 * half**2)
+        return along
 
     for grade in machine.grades:
         if abs(grade[0] / oil[0] - 1.0) > 0.1:

@@ -15,7 +15,7 @@ from leakage.watch.adoption import begin, with_evidence
 from leakage.watch.attribution import name_of
 from leakage.watch.evidence import Evidence, Window
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
-from leakage.watch.state import State
+from leakage.watch.state import WatchState
 from leakage.watch.watch import with_night
 
 TINY = 1e-300
@@ -45,7 +45,7 @@ def compare(
     after: Sequence[NightBlocks],
     settings: WatchSettings,
 ) -> Comparison:
-    """What changed between some nights and those after them, by the watch's own statistic.
+    """Return what changed between some nights and those after them, by the watch's own statistic.
 
     The date is given, so one start is asked in place of all, and no rate of false alarms is needed:
     the likelihood ratio of a step or a ramp of any cause, with even odds before. One odd night is
@@ -102,8 +102,8 @@ def _with_odd_nights(evidence: Evidence, window: Window, start: int) -> float:
     return float(changed - np.logaddexp(0.0, np.logaddexp.reduce(odd)))
 
 
-def _change(state: State, start: int) -> Estimate:
-    """Relative change of all flows from a place of the window on."""
+def _change(state: WatchState, start: int) -> Estimate:
+    """Return relative change of all flows from a place of the window on."""
     # The nights after say nothing of the surroundings: their change would pass for an effect.
     level = state.level_along(state.baseline.all_flows, end=start)
     before, after = level.mean(slice(None, start)), level.mean(slice(start, None))

@@ -17,7 +17,7 @@ from leakage.watch import choices
 from leakage.watch.baseline import N_TEMPERATURE
 from leakage.watch.evidence import Sums
 from leakage.watch.nights import Machine
-from leakage.watch.state import NOTHING, Crossing, State, all_causes, present
+from leakage.watch.state import NOTHING, Crossing, WatchState, all_causes, present
 
 
 def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
@@ -43,14 +43,14 @@ def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
     return choices.OIL_LAW * abs(math.log(thick / thin)) + choices.OIL_SHEET
 
 
-def across_event(state: State, machine: Machine, day: int, spread: float) -> State:
+def across_event(state: WatchState, machine: Machine, day: int, spread: float) -> WatchState:
     """Return the state of nights from a day on, behind an event that may move the flow by a spread.
 
     No start of a change lies across it. A baseline period begins with it once it has its nights.
     """
     in_force = state.in_force
     if in_force is not None:
-        in_force = replace(in_force, found=None, prior=None)
+        in_force = replace(in_force, attribution=None, prior=None)
     state = replace(state, in_force=in_force)
     end, q, p = len(state.window), state.baseline.columns.n, state.baseline.n_paths
     known, score = (part[0] for part in state.sums.before(np.array([end]), state.window))

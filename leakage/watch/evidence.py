@@ -45,7 +45,7 @@ class Window:
         return len(self.days)
 
     def with_night(self, day: int, information: Array, score: Array, distance: float) -> Window:
-        """The window with one more night."""
+        """Return the window with one more night."""
         return replace(
             self,
             days=np.append(self.days, day),
@@ -72,13 +72,13 @@ class Window:
 class Sums:
     """Cumulative sums over a window's nights, each with its own shift of the paths.
 
-    `told` has those of the first 0, 1, … n nights: information, with the score as its last column,
-    weighted by 1, day and day², shape (2, 3, q, q + 1). First with the shifts' covariance Q as it
-    is, then times the inflation of a long record: sums of correlated nights lie between.
+    `cumulative` has those of the first 0, 1, … n nights: information, with the score as its last
+    column, weighted by 1, day and day², shape (2, 3, q, q + 1). First with the shifts' covariance Q
+    as it is, then times the inflation of a long record: sums of correlated nights lie between.
     `distance` has shape (n + 1,).
     """
 
-    told: tuple[Array, ...]
+    cumulative: tuple[Array, ...]
     distance: Array
 
     @classmethod
@@ -88,8 +88,8 @@ class Sums:
         return start.extended(window, wander, 0)
 
     def extended(self, window: Window, wander: Wander, first: int) -> Sums:
-        """With the nights of a window from a place on."""
-        told = np.stack(
+        """Return With the nights of a window from a place on."""
+        of_nights = np.stack(
             [
                 effective(window.information[first:], window.score[first:], spread)
                 for spread in (wander.spread, wander.long_spread)
@@ -97,26 +97,28 @@ class Sums:
             axis=1,
         )
         weights = window.days[first:, None].astype(float) ** POWERS
-        weighted = told[:, :, None] * weights[:, None, :, None, None]
+        weighted = of_nights[:, :, None] * weights[:, None, :, None, None]
         return Sums(
-            (*self.told, *(self.told[-1] + weighted.cumsum(axis=0))),
+            (*self.cumulative, *(self.cumulative[-1] + weighted.cumsum(axis=0))),
             np.append(self.distance, self.distance[-1] + window.distance[first:].cumsum()),
         )
 
     def before(self, starts: Places, window: Window) -> tuple[Array, Array]:
-        """What all nights before some starts say, shapes (k, q, q) and (k, q)."""
-        told = np.stack([self.told[start][1, 0] for start in starts])
-        return window.before + told[..., :-1], window.score_before + told[..., -1]
+        """Return what all nights before some starts say, shapes (k, q, q) and (k, q)."""
+        sums = np.stack([self.cumulative[start][1, 0] for start in starts])
+        return window.before + sums[..., :-1], window.score_before + sums[..., -1]
 
     def since(self, starts: Places, weights: Array, without: Places | None) -> Array:
-        """The sums from starts to the newest night, shape (3, k, q, q + 1).
+        """Return the sums from starts to the newest night, shape (3, k, q, q + 1).
 
         `weights` are those of the sums with Q as it is and of those with Q of a long record, shape
         (k, 2); `without` is a night that each start leaves out.
         """
-        since = self.told[-1] - np.stack([self.told[start] for start in starts])
+        since = self.cumulative[-1] - np.stack([self.cumulative[start] for start in starts])
         if without is not None:
-            since -= np.stack([self.told[one + 1] - self.told[one] for one in without])
+            since -= np.stack(
+                [self.cumulative[place + 1] - self.cumulative[place] for place in without]
+            )
         mixed: Array = (weights[:, :, None, None, None] * since).sum(axis=1).swapaxes(0, 1)
         return mixed
 
@@ -143,7 +145,7 @@ class Causes:
 
     @classmethod
     def of(cls, every: Sequence[Cause]) -> Causes:
-        directions = np.array([one.direction for one in every]).T
+        directions = np.array([cause.direction for cause in every]).T
         largest = np.abs(directions).argmax(axis=0)
         sign = np.sign(directions[largest, np.arange(len(every))])
         axes, axis = np.unique(directions * sign, axis=1, return_inverse=True)
@@ -153,16 +155,16 @@ class Causes:
             axes,
             axis,
             sign,
-            np.array([one.mean for one in every]),
-            np.array([one.spread for one in every]),
-            np.array([one.is_half for one in every]),
+            np.array([cause.mean for cause in every]),
+            np.array([cause.spread for cause in every]),
+            np.array([cause.is_half for cause in every]),
         )
 
     def __len__(self) -> int:
         return len(self.every)
 
     def prior(self, shape: int) -> tuple[Array, Array, Mask]:
-        """Mean, spread and kind of the size's prior; of a ramp, of its rise in ten days."""
+        """Return mean, spread and kind of the size's prior; of a ramp, of its rise in ten days."""
         if shape == STEP:
             return self.mean, self.spread, self.is_half
         rise = choices.RAMP_SIZE / choices.STEP_SIZE
@@ -170,7 +172,7 @@ class Causes:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class StartEvidence:
     """What starts, shapes and causes say, shape (2, k, d) each.
 
     `log_ratio` holds the prior of shape and cause; `size` and `sd` are of the size's posterior,
@@ -192,7 +194,7 @@ def _along(
     square: Array,
     score: Array,
 ) -> tuple[Array, Array]:
-    """T₁ and T₂ of all axes, shape (s, k, a), from A₋ and u₋ and sums weighted by s shapes.
+    """Return T₁ and T₂ of all axes, shape (s, k, a), from A₋ and u₋ and sums weighted by s shapes.
 
     Linear and square sums are those of A₊, scores those of u₊, of a step first. An error of the
     paths since each start is left free: `error` is (E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p).
@@ -238,8 +240,8 @@ class Evidence:
 
     def of_starts(
         self, starts: Places, *, by_operation: bool = True, without: Places | None = None
-    ) -> Told:
-        """What some starts say, up to the newest night.
+    ) -> StartEvidence:
+        """Return what some starts say, up to the newest night.
 
         With `by_operation` the paths may err where the operating conditions are not the baseline's;
         `without` is a night that each start leaves out.
@@ -254,7 +256,7 @@ class Evidence:
         causes = self.causes
         first, second = _along(
             causes.axes,
-            self._operating_error(starts, a0, is_told=by_operation),
+            self._operating_error(starts, a0, is_free=by_operation),
             self.sums.before(starts, self.window),
             np.stack([a0, linear]),
             np.stack([a0, square]),
@@ -264,12 +266,12 @@ class Evidence:
         return self._weighed(first, second, starts)
 
     def second_of(self, direction: Array, start: int) -> float:
-        """T₂ of a step of a direction, shape (q,), at a start."""
+        """Return T₂ of a step of a direction, shape (q,), at a start."""
         starts = np.array([start])
         (a0, *_), (u0, _) = self.since(starts)
         _, second = _along(
             direction[:, None],
-            self._operating_error(starts, a0, is_told=True),
+            self._operating_error(starts, a0, is_free=True),
             self.sums.before(starts, self.window),
             a0[None],
             a0[None],
@@ -286,8 +288,8 @@ class Evidence:
         is_other = self.operates_otherwise(starts)
         inflated = 1.0 / self.wander.inflation(n_nights)
         weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
-        told = self.sums.since(starts, np.stack(weights, axis=1), without)
-        return told[..., :-1], told[:2, ..., -1]
+        sums = self.sums.since(starts, np.stack(weights, axis=1), without)
+        return sums[..., :-1], sums[:2, ..., -1]
 
     def operates_otherwise(self, starts: Places) -> Mask:
         """Whether a start's nights have other operating conditions than the baseline's, (k,)."""
@@ -300,11 +302,11 @@ class Evidence:
         beyond: Array = np.clip(apart - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST)
         return beyond
 
-    def _operating_error(self, starts: Places, after: Array, *, is_told: bool) -> Array:
+    def _operating_error(self, starts: Places, after: Array, *, is_free: bool) -> Array:
         """(E⁻¹ + A₊)⁻¹ of the paths, (k, p, p), E their error at conditions not seen before."""
         p = len(self.operating_error)
         variance = np.zeros((len(starts), p, p))
-        if is_told:
+        if is_free:
             size = self.operating_beyond(starts)[:, None] * self.operating_error
             variance[:, np.arange(p), np.arange(p)] = size**2
         inner = np.eye(p) + variance @ after[:, :p, :p]
@@ -319,7 +321,7 @@ class Evidence:
         risen: Array = (since[:, -1] - before) / choices.RAMP_DAYS
         return risen
 
-    def _weighed(self, first: Array, second: Array, starts: Places) -> Told:
+    def _weighed(self, first: Array, second: Array, starts: Places) -> StartEvidence:
         """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
         priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
         mean = np.stack([prior[0] for prior in priors])[:, None, :]
@@ -335,7 +337,7 @@ class Evidence:
         log_ratio[STEP, is_early] = -np.inf
         if self.n_nights == len(self.window):
             log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
-        return Told(log_ratio, size, sd, first, second)
+        return StartEvidence(log_ratio, size, sd, first, second)
 
     def tempered(self, gain: Array, starts: Places) -> Array:
         """Twice a gain of ln likelihood, (…, k, d), as the wander is an estimate: Student's t."""
@@ -347,7 +349,7 @@ class Evidence:
 
 
 def starts_of(first: int, last: int) -> tuple[Places, Array]:
-    """Candidate starts from a place to the newest, and ln of how many each stands for.
+    """Return candidate starts from a place to the newest, and ln of how many each stands for.
 
     The last 40 nights one by one, older ones 2, 4, 8 … nights apart at multiples of that.
     """

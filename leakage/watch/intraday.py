@@ -41,7 +41,7 @@ class Rise:
 
 
 def rises_so_far(watch: Watch, blocks: NightBlocks, merged: int) -> tuple[Rise, ...]:
-    """Rise of the latest blocks of a night, of more and more of them, at last of all.
+    """Return rise of the latest blocks of a night, of more and more of them, at last of all.
 
     `watch`: After the nights before. `blocks`: Short ones; the watch knows the errors of those that
     hold `merged` of them.
@@ -52,7 +52,7 @@ def rises_so_far(watch: Watch, blocks: NightBlocks, merged: int) -> tuple[Rise, 
 
 
 def sudden_rise(rises: Sequence[Rise]) -> Rise | None:
-    """The rise that is reported: of the fewest blocks that show it; None without one.
+    """Return the rise that is reported: of the fewest blocks that show it; None without one.
 
     It goes on in the latest blocks.
     """
@@ -66,7 +66,7 @@ def is_going_on(rises: Sequence[Rise], reported: float) -> bool:
 
 
 def rise_of(watch: Watch, night: NightBlocks) -> Rise:
-    """Rise of a night's blocks over the present level of the nights before."""
+    """Return rise of a night's blocks over the present level of the nights before."""
     state = with_night(watch.state, night)
     evidence, newest = state.evidence_now(), np.array([len(state.window) - 1])
     step = float(np.logaddexp.reduce(evidence.of_starts(newest).log_ratio, axis=None))
@@ -79,7 +79,7 @@ def rise_of(watch: Watch, night: NightBlocks) -> Rise:
 
 
 def _latest(blocks: NightBlocks, length: int, merged: int) -> NightBlocks:
-    """The latest blocks, neighbours merged as they are stored."""
+    """Return the latest blocks, neighbours merged as they are stored."""
     first = np.arange(len(blocks.flow) - length, len(blocks.flow), merged)
     counts = np.diff(first, append=len(blocks.flow))
 

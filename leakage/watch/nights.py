@@ -85,8 +85,8 @@ class Estimate:
 
     Examples
     --------
-    >>> one = Estimate(0.10, 0.02)
-    >>> round(one.lower, 4), round(one.upper, 4), round(one.probability_above(0.10), 2)
+    >>> rise = Estimate(0.10, 0.02)
+    >>> round(rise.lower, 4), round(rise.upper, 4), round(rise.probability_above(0.10), 2)
     (0.0608, 0.1392, 0.5)
     """
 
@@ -109,11 +109,11 @@ class Estimate:
         return self.lower <= 0.0 <= self.upper
 
     def probability_above(self, level: float) -> float:
-        """Probability that the true figure is above a level."""
+        """Return probability that the true figure is above a level."""
         return float(ndtr((self.value - level) / max(self.sd, 1e-12)))
 
     def scaled(self, factor: float) -> Estimate:
-        """The estimate times a factor."""
+        """Return the estimate times a factor."""
         return Estimate(self.value * factor, self.sd * abs(factor))
 
 
@@ -139,7 +139,7 @@ class Change:
     since: int
     since_lower: int
     since_upper: int
-    told_on: int  # Day on which it was detected.
+    detected_on: int  # Day on which it was detected.
     size: Estimate  # Relative change of the flow at the motor's own conditions, now against before.
     # Relative change of the named path's own flow; None where its share is below a tenth.
     path_growth: Estimate | None = None
@@ -168,12 +168,12 @@ def grown_as(change: Change, flow: Estimate) -> Estimate | None:
     The path's share is that of the baseline by which it was named, whatever baseline period came
     since.
     """
-    told = change.path_growth
-    if told is None or not change.size.value:
+    before = change.path_growth
+    if before is None or not change.size.value:
         return None
-    growth = told.value / change.size.value * flow.value
-    by_share = (told.sd / told.value) ** 2 - (change.size.sd / change.size.value) ** 2
-    sd = flow.sd * abs(told.value / change.size.value)
+    growth = before.value / change.size.value * flow.value
+    by_share = (before.sd / before.value) ** 2 - (change.size.sd / change.size.value) ** 2
+    sd = flow.sd * abs(before.value / change.size.value)
     return Estimate(growth, math.hypot(sd, growth * math.sqrt(max(by_share, 0.0))))
 
 

@@ -52,10 +52,10 @@ def surroundings(
     What rises evenly is wear, or none: it is not taken for an effect of a season.
     """
     q = len(direction)
-    before, score = (one[0] for one in sums.before(np.array([end]), window))
+    before, score = (part[0] for part in sums.before(np.array([end]), window))
     day = float(window.days[max(end - 1, 0)])
-    told = sums.told[end][1]
-    (a0, a1, a2), (u0, u1, _) = told[..., :-1], told[..., -1]
+    cumulative = sums.cumulative[end][1]
+    (a0, a1, a2), (u0, u1, _) = cumulative[..., :-1], cumulative[..., -1]
     tens = choices.RAMP_DAYS
     linear = (a1 - day * a0) @ direction / tens
     square = float(direction @ (a2 - 2.0 * day * a1 + day**2 * a0) @ direction) / tens**2
@@ -110,7 +110,7 @@ class Level:
 
 
 def all_causes(machine: Machine, baseline: Baseline, undone: Sequence[Cause] = ()) -> Causes:
-    """Causes of a motor, and those that undo what was adopted."""
+    """Return causes of a motor, and those that undo what was adopted."""
     return Causes.of([*causes_of(machine, baseline), *undone])
 
 
@@ -123,16 +123,16 @@ class ChangeInForce:
     """The change in force: as it is detected, and the direction that its size is taken along.
 
     `along` has shape (q,) and `of_leakage` is what a unit of it is of the leakage; `before` is the
-    change of the leakage before it, against the first baseline. While it is not adopted, `found` is
-    its attribution by the nights so far and `prior` what was in force before. `circuit` is the
-    change beside those of the circuit's other motors, as it settled; None without two of them.
+    change of the leakage before it, against the first baseline. While it is not adopted,
+    `attribution` is that by the nights so far and `prior` what was in force before. `circuit` is
+    the change beside those of the circuit's other motors, as it settled; None without two of them.
     """
 
     change: Change
     along: Array
     of_leakage: float
     before: Estimate
-    found: Attribution | None = None
+    attribution: Attribution | None = None
     prior: ChangeInForce | None = None
     circuit: CircuitChange | None = None
 
@@ -150,7 +150,7 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class WatchState:
     """What is kept of a motor."""
 
     machine: Machine
@@ -186,20 +186,20 @@ class State:
     @property
     def is_settling(self) -> bool:
         """A change has been detected, and is not adopted yet."""
-        return self.in_force is not None and self.in_force.found is not None
+        return self.in_force is not None and self.in_force.attribution is not None
 
     def place(self, day: int) -> int:
-        """Place of the first night from a day on."""
+        """Return place of the first night from a day on."""
         return int(np.searchsorted(self.window.days, day))
 
     def level_along(self, direction: Array, nights: slice = EVERY, end: int | None = None) -> Level:
-        """λ of some of the window's nights along a direction of shape (q,).
+        """Return λ of some of the window's nights along a direction of shape (q,).
 
         Beside the surroundings before a place: where none is given, that of a change in force.
         """
         window, baseline, wander = self.window, self.baseline, self.wander
         if end is None:
-            settling = self.in_force.found if self.in_force is not None else None
+            settling = self.in_force.attribution if self.in_force is not None else None
             end = len(window) if settling is None else self.place(settling.start)
         around = surroundings(window, self.sums, baseline.own_row, direction, end)
         along = window.information[nights] @ direction
@@ -218,7 +218,7 @@ class State:
         )
 
     def growth_of(self, cause: str, flow: Estimate) -> Estimate | None:
-        """Relative change of a named path's own flow, from that of all.
+        """Return relative change of a named path's own flow, from that of all.
 
         None where its share of all is too small. The share is as uncertain as the path's
         coefficient in the baseline.
@@ -234,7 +234,7 @@ class State:
         return Estimate(growth, math.hypot(flow.sd / share, growth * sd))
 
     def evidence_now(self) -> Evidence:
-        """All that the evidence of the newest night is made from."""
+        """Return all that the evidence of the newest night is made from."""
         return Evidence(
             self.window,
             self.sums,
@@ -246,15 +246,15 @@ class State:
         )
 
 
-def direction(state: State) -> tuple[Array, float]:
-    """What the level is taken along, and what a unit of it is of the leakage."""
+def direction(state: WatchState) -> tuple[Array, float]:
+    """Return what the level is taken along, and what a unit of it is of the leakage."""
     if state.in_force is None:
         return state.baseline.leakage_flows, 1.0
     return state.in_force.along, state.in_force.of_leakage
 
 
-def _n_present(state: State) -> int:
-    """Nights behind the present change: those since it, ten at most."""
+def _n_present(state: WatchState) -> int:
+    """Return nights behind the present change: those since it, ten at most."""
     if state.in_force is None:
         return choices.PRESENT_NIGHTS
     change = state.in_force.change
@@ -263,14 +263,14 @@ def _n_present(state: State) -> int:
     return max(1, min(most, len(state.window) - state.place(change.since)))
 
 
-def on_first_baseline(state: State, nights: slice) -> Estimate:
+def on_first_baseline(state: WatchState, nights: slice) -> Estimate:
     """Return the change of the leakage over some nights, against the first baseline (7c.3)."""
     change, step = _as_measured(state, nights), event_step(state)
     ratio = (1.0 + change.value) / (1.0 + step.value)
     return Estimate(ratio - 1.0, math.hypot(change.sd, ratio * step.sd) / (1.0 + step.value))
 
 
-def event_step(state: State) -> Estimate:
+def event_step(state: WatchState) -> Estimate:
     """Return what the event behind which the nights lie has moved (model.md, 7c.6).
 
     Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
@@ -286,8 +286,8 @@ def event_step(state: State) -> Estimate:
     return Estimate(share * step, crossing.spread * math.sqrt(1.0 - share))
 
 
-def _as_measured(state: State, nights: slice) -> Estimate:
-    """The same, with what an event has moved."""
+def _as_measured(state: WatchState, nights: slice) -> Estimate:
+    """Return the same, with what an event has moved."""
     along, of_leakage = direction(state)
     level = state.level_along(along, nights).mean().scaled(of_leakage)
     grown = 1.0 + state.carried.value
@@ -297,12 +297,12 @@ def _as_measured(state: State, nights: slice) -> Estimate:
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
 
 
-def present(state: State) -> Estimate:
-    """Change of the flow against the first baseline, of the last nights."""
+def present(state: WatchState) -> Estimate:
+    """Return change of the flow against the first baseline, of the last nights."""
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
-def detection_limit(state: State) -> float | None:
+def detection_limit(state: WatchState) -> float | None:
     """Return the smallest change, begun ten nights ago, that would be detected now.
 
     Of all flows. Where fewer nights may hold a change, of one begun in the first of them; None
@@ -321,7 +321,7 @@ def detection_limit(state: State) -> float | None:
     return math.sqrt(gain) * sd
 
 
-def nights_beyond(state: State) -> int:
+def nights_beyond(state: WatchState) -> int:
     """Return how many newest nights are wholly beyond the detection limit, on one side (7c.8).
 
     Two at most; none while a change is in force.
@@ -339,26 +339,26 @@ def nights_beyond(state: State) -> int:
     return 2 if sides[0] == sides[-1] and len(sides) == 2 else 1
 
 
-def mean_change(state: State) -> Estimate:
+def mean_change(state: WatchState) -> Estimate:
     """Return the change that a state rests on: the present one, or the size of a first change.
 
     While that settles, at usual operating conditions and with evidence beyond the limit, its size
     is known better than the level of its few nights (model.md, 7c.2).
     """
     now, in_force = present(state), state.in_force
-    if in_force is None or in_force.found is None or in_force.prior is not None:
+    if in_force is None or in_force.attribution is None or in_force.prior is not None:
         return now
     size = in_force.change.size
     is_alike = size.value * now.value > 0.0 and not in_force.change.is_several
     if size.holds_zero or not is_alike or not now.holds_zero:
         return now
-    start = np.array([state.place(in_force.found.start)])
+    start = np.array([state.place(in_force.attribution.start)])
     is_usual = state.evidence_now().operating_beyond(start)[0] == 0.0
     return size if is_usual and state.evidence >= state.settings.limit else now
 
 
-def is_contradicted(state: State) -> bool:
-    """True if the change in force is none by its own interval (model.md, 7c.2).
+def is_contradicted(state: WatchState) -> bool:
+    """Return whether the change in force is none by its own interval (model.md, 7c.2).
 
     A first change that settles is none, either, where its nights say the opposite.
     """
@@ -366,12 +366,12 @@ def is_contradicted(state: State) -> bool:
     if in_force is None or in_force.change.cause in (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT):
         return False
     mean = mean_change(state)
-    is_first = in_force.found is not None and in_force.prior is None
+    is_first = in_force.attribution is not None and in_force.prior is None
     is_opposite = (mean.value > 0.0) != in_force.change.is_rise
     return mean.holds_zero or (is_first and is_opposite)
 
 
-def probability_back(state: State) -> float:
+def probability_back(state: WatchState) -> float:
     """Return how probably a change has undone the one before it; 0 where it has not.
 
     What is left could not be detected: without this rule the rest of a repair is a warning on some
@@ -387,7 +387,7 @@ def probability_back(state: State) -> float:
     return now.probability_above(-limit) - now.probability_above(limit)
 
 
-def reported_change(state: State) -> Change | None:
+def reported_change(state: WatchState) -> Change | None:
     """Return the change that is reported, None where there is none or its interval holds 0."""
     change = change_in_force(state)
     probability = probability_back(state)
@@ -397,14 +397,14 @@ def reported_change(state: State) -> Change | None:
     return None if is_contradicted(state) else change
 
 
-def change_in_force(state: State) -> Change | None:
+def change_in_force(state: WatchState) -> Change | None:
     """The change in force; of all but a first one that settles, the size is now against before."""
     in_force = state.in_force
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
     # The size of one cause is none of several.
-    if in_force.found is not None and in_force.prior is None and not change.is_several:
+    if in_force.attribution is not None and in_force.prior is None and not change.is_several:
         return change
     now, before = present(state), in_force.before
     ratio = (1.0 + now.value) / (1.0 + before.value)

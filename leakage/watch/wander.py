@@ -69,7 +69,7 @@ class Wander:
         return inflation
 
     def share_of_short(self, n_nights: Array) -> Array:
-        """Weight of sums with Q itself among those with Q and Q of a long record.
+        """Return weight of sums with Q itself among those with Q and Q of a long record.
 
         So weighted, the information of so many nights is exact where their shifts outweigh the
         errors within nights, and where they do not.
@@ -101,11 +101,11 @@ class WanderPrior:
 
 
 def effective(information: Array, score: Array, spread: Array) -> Array:
-    """What nights say whose paths shift by N(0, Q): information and score, (n, q, q + 1)."""
+    """Return what nights say whose paths shift by N(0, Q): information and score, (n, q, q + 1)."""
     p = len(spread)
     inner = np.linalg.inv(spread) + information[:, :p, :p]
-    told = np.concatenate([information, score[:, :, None]], axis=2)
-    left: Array = told - information[:, :, :p] @ np.linalg.solve(inner, told[:, :p])
+    columns = np.concatenate([information, score[:, :, None]], axis=2)
+    left: Array = columns - information[:, :, :p] @ np.linalg.solve(inner, columns[:, :p])
     return left
 
 
@@ -117,28 +117,30 @@ def estimate_wander(
     prior_information: Array,
     prior: WanderPrior,
 ) -> Wander:
-    """Q and φ of some nights, from their information, scores and days."""
+    """Return Q and φ of some nights, from their information, scores and days."""
     n, p = len(information), len(all_paths)
     usual = _usual_spread(all_paths, prior)
     spread = usual
     lines, prior_information = _with_lines(days, prior_information, p)
     for _ in range(MOST_PASSES):
         effective_nights = effective(information, score, spread)
-        told, told_score = effective_nights[..., :-1], effective_nights[..., -1]
+        night_information, night_score = effective_nights[..., :-1], effective_nights[..., -1]
         beside = lines.swapaxes(1, 2)
-        certain = np.linalg.inv((beside @ told @ lines).sum(axis=0) + prior_information)
-        mean = lines @ (certain @ (beside @ told_score[..., None]).sum(axis=0)[:, 0])
+        certain = np.linalg.inv(
+            (beside @ night_information @ lines).sum(axis=0) + prior_information
+        )
+        mean = lines @ (certain @ (beside @ night_score[..., None]).sum(axis=0)[:, 0])
         shifts = _squared_shifts(information, score, spread, mean, lines, certain)
         new = (shifts.sum(axis=0) + choices.WANDER_NIGHTS * usual) / (n + choices.WANDER_NIGHTS)
         moved = np.abs(new - spread).max() / np.abs(new).max()
         spread = new
         if moved < CONVERGED:
             break
-    memory = _memory(told, told_score, mean, days, all_paths, prior)
+    memory = _memory(night_information, night_score, mean, days, all_paths, prior)
     spread = _of_correlated(spread, usual, days, memory)
     # What nights tell of all paths together.
-    of_flow = spread @ (told[:, :p, :p].mean(axis=0) @ all_paths)
-    within = told[:, :p, :p].mean(axis=0) @ all_paths @ of_flow
+    of_flow = spread @ (night_information[:, :p, :p].mean(axis=0) @ all_paths)
+    within = night_information[:, :p, :p].mean(axis=0) @ all_paths @ of_flow
     return Wander(spread, memory, np.outer(of_flow, of_flow) / within)
 
 
@@ -166,7 +168,7 @@ def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
 def _with_lines(
     days: NDArray[np.int64], prior_information: Array, n_paths: int
 ) -> tuple[Array, Array]:
-    """What all unknowns and a line in time of each path do in each night, and their prior.
+    """Return what all unknowns and a line in time of each path do in each night, and their prior.
 
     Slow wear is no wander.
     """
@@ -205,21 +207,23 @@ def _squared_shifts(
 
 
 def _memory(
-    told: Array,
-    told_score: Array,
+    night_information: Array,
+    night_score: Array,
     mean: Array,
     days: NDArray[np.int64],
     all_paths: Array,
     prior: WanderPrior,
 ) -> Array:
-    """Probabilities of the memories by the levels of the common direction, shape (g,).
+    """Return probabilities of the memories by the levels of the common direction, shape (g,).
 
     By restricted likelihood, the variance profiled out.
     """
-    n, p = len(told), len(all_paths)
-    weight = np.einsum("nij,i,j->n", told[:, :p, :p], all_paths, all_paths)
+    n, p = len(night_information), len(all_paths)
+    weight = np.einsum("nij,i,j->n", night_information[:, :p, :p], all_paths, all_paths)
     root = np.sqrt(np.maximum(weight, 1e-12))
-    level = (told_score - (told @ mean[:, :, None])[:, :, 0])[:, :p] @ all_paths / root
+    level = (
+        (night_score - (night_information @ mean[:, :, None])[:, :, 0])[:, :p] @ all_paths / root
+    )
     line = np.column_stack([root, root * (days - days.mean()) / max(float(np.ptp(days)), 1.0)])
     if n <= line.shape[1] + 1:
         return prior.memory
@@ -232,7 +236,7 @@ def _memory(
 
 
 def _restricted(values: Array, line: Array, covariance: Array) -> float:
-    """ln of the restricted likelihood of values about a line, up to a constant."""
+    """Return ln of the restricted likelihood of values about a line, up to a constant."""
     n, columns = line.shape
     factor = np.linalg.cholesky(covariance)
     rows = np.linalg.solve(factor, np.column_stack([line, values]))

@@ -15,17 +15,17 @@ import numpy as np
 
 from leakage.arrays import Array
 from leakage.errors import EstimationError
-from leakage.watch import choices, keeping
+from leakage.watch import checkpoint, choices
 from leakage.watch.adoption import (
     Earlier,
     adopted,
     at_rest,
     begin,
     in_force_of,
-    judged,
     new_period,
     settling,
     shortened,
+    test_for_change,
     with_new_wander,
 )
 from leakage.watch.causes import ODD_NIGHTS
@@ -33,7 +33,7 @@ from leakage.watch.circuit import circuit_change
 from leakage.watch.events import across_event
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import (
-    State,
+    WatchState,
     change_in_force,
     detection_limit,
     direction,
@@ -48,13 +48,13 @@ from leakage.watch.state import (
 class Watch:
     """A motor's watch after its newest night."""
 
-    state: State
+    state: WatchState
 
     @classmethod
     def begin(
         cls, machine: Machine, nights: Sequence[NightBlocks], settings: WatchSettings
     ) -> Watch:
-        """The watch after the nights of its baseline, in order.
+        """Return the watch after the nights of its baseline, in order.
 
         Raises EstimationError if there are fewer nights than a baseline needs.
         """
@@ -71,7 +71,7 @@ class Watch:
         return self.state.day
 
     def after(self, night: NightBlocks, earlier: Earlier) -> Watch:
-        """The watch after one more night.
+        """Return the watch after one more night.
 
         `night`: Its blocks; later than all nights before. `earlier`: The nights from a day on up to
         this one, which are asked for where a baseline period begins.
@@ -81,25 +81,25 @@ class Watch:
             state = settling(state)
             if state.is_settling:
                 return Watch(shortened(state))
-        state = judged(with_new_wander(state))
+        state = test_for_change(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))
 
     def across_event(self, machine: Machine, day: int, spread: float) -> Watch:
-        """The watch of nights from a day on, behind an event with the same motor (7c.6).
+        """Return the watch of nights from a day on, behind an event with the same motor (7c.6).
 
         `machine`: As it is behind it, with its oil. `spread`: Of the step that the event may make.
         """
         return Watch(across_event(self.state, machine, day, spread))
 
     def beside(self, others: Sequence[Watch]) -> Watch:
-        """The watch that knows what the circuit's other motors did since its own change.
+        """Return the watch that knows what the circuit's other motors did since its own change.
 
         Only while a change settles: afterwards its name stays.
         """
         in_force = self.state.in_force
-        if not others or in_force is None or in_force.found is None:
+        if not others or in_force is None or in_force.attribution is None:
             return self
         since = in_force.change.since
         size, changes = self.change_since(since), [other.change_since(since) for other in others]
@@ -108,14 +108,14 @@ class Watch:
         named = in_force_of(
             self.state,
             self.state.evidence_now(),
-            in_force.found,
-            in_force.change.told_on,
+            in_force.attribution,
+            in_force.change.detected_on,
             circuit,
         )
         return Watch(replace(self.state, in_force=named))
 
     def verdict(self) -> Verdict:
-        """What is known after the newest night."""
+        """Return what is known after the newest night."""
         state, change = self.state, reported_change(self.state)
         limit = state.settings.limit
         return Verdict(
@@ -139,7 +139,11 @@ class Watch:
         is in no window any more: it is the change where it may have begun then.
         """
         state, in_force = self.state, self.state.in_force
-        if in_force is not None and in_force.found is None and in_force.change.cause != ODD_NIGHTS:
+        if (
+            in_force is not None
+            and in_force.attribution is None
+            and in_force.change.cause != ODD_NIGHTS
+        ):
             change = change_in_force(state)
             assert change is not None
             _, lower, upper = change.dates
@@ -155,7 +159,7 @@ class Watch:
         return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:
-        """Flow at some conditions, by the level of the newest night, [l/min].
+        """Return flow at some conditions, by the level of the newest night, [l/min].
 
         `drives` are the flows a unit of each path's coefficient there, shape (p,), 0 for what is
         left out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
@@ -167,13 +171,13 @@ class Watch:
         as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
         before, _ = state.sums.before(np.array([len(state.window)]), state.window)
         uncertain = float(row @ np.linalg.solve(before[0], row))
-        found = as_first + level.value * of_cause
-        missed = choices.LEAKAGE_BY_LACK * state.baseline.lack_of_fit * found
+        grown = as_first + level.value * of_cause
+        missed = choices.LEAKAGE_BY_LACK * state.baseline.lack_of_fit * grown
         variance = (of_cause * level.sd) ** 2 + uncertain + missed**2
-        return Estimate(flow * found, flow * math.sqrt(variance))
+        return Estimate(flow * grown, flow * math.sqrt(variance))
 
     def frozen_leakage_at(self, drives: Array, conditions: Array) -> float:
-        """The same by the baseline alone, [l/min]."""
+        """Return the same by the baseline alone, [l/min]."""
         row, flow = self._row_at(drives, conditions)
         return flow * (1.0 + float(row @ self.state.baseline.unknowns))
 
@@ -187,19 +191,19 @@ class Watch:
         return row, float(expected[0])
 
     def arrays(self) -> dict[str, Array]:
-        """Numbers to keep, by name."""
-        return keeping.arrays_of(self.state)
+        """Return numbers to keep, by name."""
+        return checkpoint.arrays_of(self.state)
 
     @classmethod
     def of_arrays(
         cls, machine: Machine, settings: WatchSettings, arrays: Mapping[str, Array]
     ) -> Watch:
-        """The watch that was kept."""
-        return cls(keeping.state_of(machine, settings, arrays))
+        """Return the watch that was kept."""
+        return cls(checkpoint.state_of(machine, settings, arrays))
 
 
-def with_night(state: State, night: NightBlocks) -> State:
-    """The state with one more night, of which nothing is detected yet."""
+def with_night(state: WatchState, night: NightBlocks) -> WatchState:
+    """Return the state with one more night, of which nothing is detected yet."""
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)

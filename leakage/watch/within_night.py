@@ -55,7 +55,7 @@ class BlockErrors:
 def estimate_errors(
     nights: Sequence[tuple[Array, Array]], start: BlockErrors, tolerance: float = 0.01
 ) -> BlockErrors:
-    """Errors by maximum likelihood from times [s] and residuals of some nights.
+    """Return errors by maximum likelihood from times [s] and residuals of some nights.
 
     `tolerance` is that of the logarithms of the errors.
     """
@@ -79,13 +79,13 @@ def estimate_errors(
         usual = USUAL_WEIGHT * (logarithms[0] - USUAL_LOG) ** 2
         return float(usual) + likelihood(BlockErrors.of(logarithms))
 
-    found = minimize(
+    search = minimize(
         cost,
         start.logarithms,
         method="Nelder-Mead",
         options={"maxiter": 250, "xatol": tolerance, "fatol": tolerance},
     )
-    return BlockErrors.of(found.x)
+    return BlockErrors.of(search.x)
 
 
 def _pieces(nights: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Mask, Array]:
@@ -125,7 +125,7 @@ def _pieces(nights: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Mask, 
 def night_information(
     design: Array, residuals: Array, middle_s: Array, errors: BlockErrors, n_paths: int
 ) -> tuple[Array, Array]:
-    """Information S'V⁻¹S, shape (q, q), and score S'V⁻¹r, shape (q,), of a night.
+    """Return information S'V⁻¹S, shape (q, q), and score S'V⁻¹r, shape (q,), of a night.
 
     Any rank will do. Blocks that the others of their night contradict, whatever its own paths do,
     count less.

@@ -85,7 +85,7 @@ def _of_change(night: NightState, change: Change) -> Row:
         "onset": dt.date.fromordinal(change.since),
         "onset_earliest": dt.date.fromordinal(change.since_lower),
         "onset_latest": dt.date.fromordinal(change.since_upper),
-        "detected_on": dt.date.fromordinal(change.told_on),
+        "detected_on": dt.date.fromordinal(change.detected_on),
         "still_rising": change.goes_on,
         "likely_iso_vg": change.grade,
     }

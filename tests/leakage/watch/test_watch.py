@@ -172,7 +172,7 @@ def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
     assert (first.shape, first.goes_on) == ("ramp", False)
     assert next(iter(first.candidates)) == "ring"
     assert (last.cause, last.goes_on, last.is_rise) == ("ring", True, True)
-    assert last.told_on > told.day
+    assert last.detected_on > told.day
     assert last.since == pytest.approx(BEGIN, abs=2)
     assert last.size.value == pytest.approx(0.03 * 50 * SHARES[0], abs=0.012)
 
@@ -195,7 +195,7 @@ def test_odd_nights_again_and_again() -> None:
     told = [first_told(story(THIRD, 36, seed)) for seed in range(1, 6)]
     changes = [c for one in told if one and (c := one.verdict().change) and c.cause == "odd_nights"]
     assert len(changes) >= 4
-    assert {(c.shape, c.since, c.told_on) for c in changes} == {("now and then", 27, 33)}
+    assert {(c.shape, c.since, c.detected_on) for c in changes} == {("now and then", 27, 33)}
     assert [c.size.value for c in changes] == pytest.approx([0.10] * len(changes), abs=0.02)
 
 
@@ -219,7 +219,7 @@ def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
     told, first, _ = told_of(QUICK, 60, seed)
     assert told.day < BEGIN + 6
     settled = story(QUICK, 60, seed)[told.day + 9 - FIRST + 1].verdict().change
-    assert settled.told_on == first.told_on
+    assert settled.detected_on == first.detected_on
     assert settled.size.value == pytest.approx(0.5, abs=0.12)
     assert story(QUICK, 60, seed)[-1].verdict().present.value == pytest.approx(0.5, abs=0.04)
 
@@ -229,7 +229,9 @@ def test_what_grows_ever_faster_does_not_begin_later_and_later(seed: int) -> Non
     told, first, _ = told_of(FASTER, 52, seed)
     changes = [one.verdict().change for one in story(FASTER, 52, seed)[told.day - FIRST + 1 :]]
     settling = [
-        change for change in changes if change is not None and change.told_on == first.told_on
+        change
+        for change in changes
+        if change is not None and change.detected_on == first.detected_on
     ]
     assert len(settling) >= 10
     assert max(one.since for one in settling) == first.since
@@ -383,7 +385,7 @@ def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     # Adopted ten nights after it was detected, it is what has changed for others that are told
     # later.
     adopted = story(METER, 45, 2)[-1]
-    assert adopted.state.in_force.found is None
+    assert adopted.state.in_force.attribution is None
     later = adopted.change_since(BEGIN)
     assert later.lower < 0.10 < later.upper
     before = adopted.change_since(40)

@@ -35,7 +35,7 @@ def change(cause: str, **more: Any) -> Change:
         "since": night_of(20).toordinal(),
         "since_lower": night_of(19).toordinal(),
         "since_upper": night_of(21).toordinal(),
-        "told_on": night_of(21).toordinal(),
+        "detected_on": night_of(21).toordinal(),
         "size": Estimate(0.2, 0.01),
     }
     return Change(**(fields | more))

@@ -15,14 +15,14 @@ from leakage.watch.baseline import Baseline
 from leakage.watch.causes import BACK, Cause
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Estimate, Machine, WatchSettings
-from leakage.watch.state import ChangeInForce, Crossing, State, all_causes
+from leakage.watch.state import ChangeInForce, Crossing, WatchState, all_causes
 from leakage.watch.wander import Wander
 
 Arrays = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class WatchCheckpoint:
     """Fields of a state that are kept; its sums and causes are made of them.
 
     `undone` are directions of the causes that undo what was adopted, shape (u, q), `undone_size`
@@ -47,59 +47,63 @@ class Kept:
     crossing: Crossing | None
 
 
-AS_IN_STATE = tuple(field.name for field in fields(Kept) if not field.name.startswith("undone"))
+AS_IN_STATE = tuple(
+    field.name for field in fields(WatchCheckpoint) if not field.name.startswith("undone")
+)
 
 
-def arrays_of(state: State) -> dict[str, Array]:
-    """All numbers of a state, by name."""
-    undone = [one for one in state.causes.every if one.name == BACK]
-    kept = Kept(
-        undone=np.array([one.direction for one in undone]).reshape(-1, state.baseline.columns.n),
-        undone_size=np.array([(one.mean, one.spread) for one in undone]).reshape(-1, 2),
+def arrays_of(state: WatchState) -> dict[str, Array]:
+    """Return all numbers of a state, by name."""
+    undone = [cause for cause in state.causes.every if cause.name == BACK]
+    stored = WatchCheckpoint(
+        undone=np.array([cause.direction for cause in undone]).reshape(
+            -1, state.baseline.columns.n
+        ),
+        undone_size=np.array([(cause.mean, cause.spread) for cause in undone]).reshape(-1, 2),
         **{name: getattr(state, name) for name in AS_IN_STATE},
     )
-    return _packed("state", kept)
+    return _packed("state", stored)
 
 
-def state_of(machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any]) -> State:
-    """The state that was kept."""
-    kept: Kept = _unpacked(Kept, "state", arrays)
+def state_of(machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any]) -> WatchState:
+    """Return the state that was kept."""
+    stored: WatchCheckpoint = _unpacked(WatchCheckpoint, "state", arrays)
     undone = [
         Cause(BACK, along, mean, spread)
-        for along, (mean, spread) in zip(kept.undone, kept.undone_size.tolist(), strict=True)
+        for along, (mean, spread) in zip(stored.undone, stored.undone_size.tolist(), strict=True)
     ]
-    return State(
+    return WatchState(
         machine,
         settings,
-        sums=Sums.of(kept.window, kept.wander),
-        causes=all_causes(machine, kept.baseline, undone),
-        **{name: getattr(kept, name) for name in AS_IN_STATE},
+        sums=Sums.of(stored.window, stored.wander),
+        causes=all_causes(machine, stored.baseline, undone),
+        **{name: getattr(stored, name) for name in AS_IN_STATE},
     )
 
 
 def _packed(name: str, part: Any) -> Arrays:
     """Arrays of a dataclass, and of those in it, by name; all else as the bytes of a text."""
-    kept: Arrays = {}
+    packed: Arrays = {}
     words: dict[str, Any] = {}
     for field in fields(part):
         value, own = getattr(part, field.name), f"{name}.{field.name}"
         if isinstance(value, np.ndarray):
-            kept[own] = value
+            packed[own] = value
         elif is_dataclass(value):
-            kept |= _packed(own, value)
+            packed |= _packed(own, value)
         else:
             words[field.name] = value
-    return {name: np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)} | kept
+    return {name: np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)} | packed
 
 
-def _unpacked(kind: Any, name: str, kept: Mapping[str, Any]) -> Any:
-    values: dict[str, Any] = json.loads(bytes(kept[name]))
+def _unpacked(kind: Any, name: str, arrays: Mapping[str, Any]) -> Any:
+    values: dict[str, Any] = json.loads(bytes(arrays[name]))
     for field, part in _parts_of(kind).items():
         own, value = f"{name}.{field}", values.get(field)
         if isinstance(value, list):
             values[field] = tuple(value)
         elif field not in values:
-            values[field] = _unpacked(part, own, kept) if part else kept[own]
+            values[field] = _unpacked(part, own, arrays) if part else arrays[own]
     return kind(**values)
 
 
@@ -110,6 +114,6 @@ def _parts_of(kind: Any) -> dict[str, Any]:
     Kept, as a night of a thousand motors asks for the same hints seven thousand times.
     """
     return {
-        field: next((one for one in (hint, *get_args(hint)) if is_dataclass(one)), None)
+        field: next((part for part in (hint, *get_args(hint)) if is_dataclass(part)), None)
         for field, hint in get_type_hints(kind).items()
     }
