@@ -8,7 +8,7 @@ size has a prior, half-normal or normal, which is integrated out.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,25 +70,30 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """Cumulative sums over a window's nights, each with its own shift of the paths.
+    """Sums over a window's nights, each with its own shift of the paths, as far as asked for.
 
-    `cumulative` has those of the first 0, 1, … n nights: information, with the score as its last
-    column, weighted by 1, day and day², shape (2, 3, q, q + 1). First with the shifts' covariance Q
-    as it is, then times the inflation of a long record: sums of correlated nights lie between.
-    `distance` has shape (n + 1,).
+    `nights` has what each says: information, with the score as its last column, shape
+    (2, q, q + 1). First with the shifts' covariance Q as it is, then times the inflation of a long
+    record: sums of correlated nights lie between. `weights` are 1, day and day², shape (n, 3);
+    `distance` has shape (n + 1,). `known` are sums of the first nights by their number, shape
+    (2, 3, q, q + 1): all of them of a year would be ten megabytes, and few are asked for.
     """
 
-    cumulative: tuple[Array, ...]
+    nights: tuple[Array, ...]
+    weights: Array
     distance: Array
+    known: dict[int, Array]
 
     @classmethod
     def of(cls, window: Window, wander: Wander) -> Sums:
+        """Return the sums over all nights of a window."""
         q = window.score.shape[1]
-        start = cls((np.zeros((2, len(POWERS), q, q + 1)),), np.zeros(1))
+        nothing = np.zeros((2, len(POWERS), q, q + 1))
+        start = cls((), np.zeros((0, len(POWERS))), np.zeros(1), {0: nothing})
         return start.extended(window, wander, 0)
 
     def extended(self, window: Window, wander: Wander, first: int) -> Sums:
-        """Return With the nights of a window from a place on."""
+        """Return the sums with the nights of a window from a place on."""
         of_nights = np.stack(
             [
                 effective(window.information[first:], window.score[first:], spread)
@@ -96,16 +101,27 @@ class Sums:
             ],
             axis=1,
         )
-        weights = window.days[first:, None].astype(float) ** POWERS
-        weighted = of_nights[:, :, None] * weights[:, None, :, None, None]
         return Sums(
-            (*self.cumulative, *(self.cumulative[-1] + weighted.cumsum(axis=0))),
+            (*self.nights, *of_nights),
+            window.days[:, None].astype(float) ** POWERS,
             np.append(self.distance, self.distance[-1] + window.distance[first:].cumsum()),
+            self.known.copy(),
         )
+
+    def of_first(self, numbers: Iterable[int]) -> Array:
+        """Return the sums of some numbers of first nights, shape (k, 2, 3, q, q + 1)."""
+        numbers = [int(number) for number in numbers]
+        for number in sorted(set(numbers).difference(self.known)):
+            begin = max(known for known in self.known if known < number)
+            total = self.known[begin].copy()
+            for place in range(begin, number):
+                total += self.nights[place][:, None] * self.weights[place][:, None, None]
+            self.known[number] = total
+        return np.stack([self.known[number] for number in numbers])
 
     def before(self, starts: Places, window: Window) -> tuple[Array, Array]:
         """Return what all nights before some starts say, shapes (k, q, q) and (k, q)."""
-        sums = np.stack([self.cumulative[start][1, 0] for start in starts])
+        sums = self.of_first(starts)[:, 1, 0]
         return window.before + sums[..., :-1], window.score_before + sums[..., -1]
 
     def since(self, starts: Places, weights: Array, without: Places | None) -> Array:
@@ -114,11 +130,9 @@ class Sums:
         `weights` are those of the sums with Q as it is and of those with Q of a long record, shape
         (k, 2); `without` is a night that each start leaves out.
         """
-        since = self.cumulative[-1] - np.stack([self.cumulative[start] for start in starts])
+        since = self.of_first([len(self.nights)]) - self.of_first(starts)
         if without is not None:
-            since -= np.stack(
-                [self.cumulative[place + 1] - self.cumulative[place] for place in without]
-            )
+            since -= self.of_first(without + 1) - self.of_first(without)
         mixed: Array = (weights[:, :, None, None, None] * since).sum(axis=1).swapaxes(0, 1)
         return mixed
 

@@ -54,7 +54,7 @@ def surroundings(
     q = len(direction)
     before, score = (part[0] for part in sums.before(np.array([end]), window))
     day = float(window.days[max(end - 1, 0)])
-    cumulative = sums.cumulative[end][1]
+    cumulative = sums.of_first([end])[0, 1]
     (a0, a1, a2), (u0, u1, _) = cumulative[..., :-1], cumulative[..., -1]
     tens = choices.RAMP_DAYS
     linear = (a1 - day * a0) @ direction / tens
