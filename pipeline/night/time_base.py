@@ -71,11 +71,9 @@ class Samples:
     # Those of charge, low port and case that are logged, shape (n,) each.
     low_pressures_bar: Mapping[str, Values]
     period_us: int  # period of the grid
-    n_grid: int  # samples of the grid between the first and the last of the log
-    # Those of them in the logger's sessions in which the motor ran, away from standstill and its
-    # guard times.
+    # Samples of the grid in the logger's sessions in which the motor ran, away from standstill and
+    # its guard times.
     n_running: int
-    first_index: int = 0  # place of the log's first sample on the grid
     # Transport delay that the kept samples were paired with, their mean.
     delay_s: float = 0.0
     # n_logged, n_turning: samples of the grid with a credible speed, and those of them above
@@ -176,9 +174,7 @@ def bring_together(
             leakage_l_per_min=leakage,
             low_pressures_bar={name: values.pop(name)[kept] for name in low_pressures},
             period_us=period,
-            n_grid=len(grid),
             n_running=int(np.count_nonzero(running)),
-            first_index=begin,
             delay_s=float(delay_s[kept].mean()) if len(kept) else 0.0,
             n_logged=n_logged,
             n_turning=n_turning,

@@ -40,7 +40,7 @@ class StoredWatch:
 
 
 @dataclass(frozen=True, slots=True)
-class WatchCheckpoint:
+class MotorCheckpoint:
     """A motor's checkpoint; the watch is None while its baseline period has too few nights."""
 
     key: str
@@ -62,7 +62,7 @@ class WatchCheckpoint:
         return packed
 
 
-def decoded(content: bytes | None) -> WatchCheckpoint | None:
+def decoded(content: bytes | None) -> MotorCheckpoint | None:
     """Return a checkpoint from its bytes; None without any, or where they are damaged."""
     try:
         stream = io.BytesIO(lz4.frame.decompress(content or b""))
@@ -74,7 +74,7 @@ def decoded(content: bytes | None) -> WatchCheckpoint | None:
         records = arrays.pop("records").view(RECORD)
     except (RuntimeError, ValueError):  # damaged, or of another version
         return None
-    checkpoint = WatchCheckpoint(key, dt.date.fromisoformat(last_night), records, None)
+    checkpoint = MotorCheckpoint(key, dt.date.fromisoformat(last_night), records, None)
     if watch is None:
         return checkpoint
     period, own, day = watch

@@ -34,7 +34,7 @@ from pipeline.schema import (
 )
 from pipeline.schema.fits import NO_NEW_DATA, OK
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.nights.checkpoint import WatchCheckpoint
+from pipeline.trends.nights.checkpoint import MotorCheckpoint
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import (
     OPERATED,
@@ -78,7 +78,7 @@ class Wanted:
 
     spec: MotorSpec
     decisions: tuple[Decision, ...]
-    checkpoint: WatchCheckpoint | None
+    checkpoint: MotorCheckpoint | None
     first: dt.date | None
     until: dt.date
     # Rows of nights as far as these fill them, which are not in `nights` yet.

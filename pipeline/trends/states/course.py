@@ -19,7 +19,7 @@ from leakage.watch.events import oil_spread
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.trends.nights.checkpoint import StoredWatch, WatchCheckpoint
+from pipeline.trends.nights.checkpoint import MotorCheckpoint, StoredWatch
 from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, periods_of
 from pipeline.trends.nights.published_nights import PublishedNights, read_blocks
 from pipeline.trends.states.night_state import NightState, with_state
@@ -280,7 +280,7 @@ class Course:
             self.drives[key] = history.watch_columns.drives_at(history.spec, night, at)
         return self.drives[key]
 
-    def checkpoint(self, key: str) -> WatchCheckpoint:
+    def checkpoint(self, key: str) -> MotorCheckpoint:
         """Return what the next run needs: the watch before the newest night, which it may redo."""
         nights, watch = self.nights.history.nights, None
         if self.before is not None:
@@ -293,7 +293,7 @@ class Course:
         records = self.nights.history.records[: self.place].copy()
         for column, name in enumerate(WATCHED):
             records[name] = self.figures[: self.place, column]
-        return WatchCheckpoint(key, nights[self.place - 1], records, watch)
+        return MotorCheckpoint(key, nights[self.place - 1], records, watch)
 
 
 def _measured(at: Conditions) -> Array:

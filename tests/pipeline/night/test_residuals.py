@@ -263,7 +263,6 @@ def samples(n: int = KEPT, **more: object) -> Samples:
         {},
         SECOND_US,
         KEPT,
-        KEPT,
         **more,  # type: ignore[arg-type]
     )
 
