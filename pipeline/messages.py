@@ -98,4 +98,4 @@ def as_sentence(words: str) -> str:
 
 def statement(sentence: str, advice: str) -> str:
     """What is told of a motor and what to do, as pages, mail and terminal say it."""
-    return " ".join(as_sentence(one) for one in (sentence, advice) if one)
+    return " ".join(as_sentence(text) for text in (sentence, advice) if text)

@@ -130,7 +130,7 @@ def time_to_limit(
     jumps = of_noise > MOST_OF_NOISE
     least = LOWEST_OF_JUMPS if jumps else LOWEST
     lower = reach * min(_quantile(ahead, by_shape, LOWEST), _quantile(ahead, by_jumps, least))
-    upper = reach * max(_quantile(ahead, one, HIGHEST) for one in (by_shape, by_jumps))
+    upper = reach * max(_quantile(ahead, weights, HIGHEST) for weights in (by_shape, by_jumps))
     if lower >= horizon:
         return TimeToLimit("beyond_horizon", lower=horizon)
     if jumps or upper > min(reach, horizon):
@@ -209,7 +209,7 @@ def _crossed_by_jumps(u: Array, y: Array, ahead: Array) -> tuple[Array, float]:
     """
     gaps = np.cbrt(y)
     ends = np.linspace(0, len(u), MEANS + 1).astype(np.intp)
-    means, at = (np.add.reduceat(one, ends[:-1]) / np.diff(ends) for one in (gaps, u))
+    means, at = (np.add.reduceat(values, ends[:-1]) / np.diff(ends) for values in (gaps, u))
     span = float(at[-1] - at[0])
     apart = span / (MEANS - 1)
     drift = float(means[-1] - means[0]) / span

@@ -56,10 +56,10 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
         raise StatisticsError("shape", f"samples must be a matrix, not of shape {z.shape}")
     columns = z.shape[1]
     found = np.zeros((len(borders) - 1, columns, columns))
-    for one, begin, end in zip(found, borders[:-1], borders[1:], strict=True):
+    for block, begin, end in zip(found, borders[:-1], borders[1:], strict=True):
         if begin < end:
             r = dgeqrf(z[begin:end])[0][:columns]
-            one[: len(r)] = r
+            block[: len(r)] = r
     _require_finite("samples", found)
     return _positive(found)
 
@@ -126,5 +126,5 @@ def squared_error(r: Array, coefficients: Array) -> float:
 
 def sample_count(r: Array) -> int:
     """Number of samples behind a factor: the squared norm of the column of ones."""
-    one = r[:, -3]
-    return round(float(one @ one))
+    ones = r[:, -3]
+    return round(float(ones @ ones))

@@ -54,15 +54,16 @@ LARGEST_BLOCK_SHARE = 0.5
 LEAST_FREEDOM = 4.0
 LEAST_FREEDOM_LEAKAGE = 2.0
 
-# Residual analysis (`residual_analysis`, `residual_moments`, `correlation`).
+# Residual analysis (`residual_analysis`).
 # Lags that are looked at: −25 to 25 of cross-correlations, 1 to 25 of the autocorrelation, as the
 # thesis draws them; half-width of a normal 99 % band, and the probability beyond it.
 LONGEST_LAG = 25
 BAND, LEVEL = 2.576, 0.01
-# Variances are summed over this many lags, or this many correlation times of the errors: what is
-# left out is below e⁻¹⁰. Sums longer than this share of the samples are noise.
-SHORTEST_SUM, CORRELATION_TIMES = 300, 10.0
-LONGEST_SUM_SHARE = 0.25
+# Variances are summed over the first of these numbers of lags that is this many times the sum of
+# the errors' correlations: what is left out is below e⁻¹⁰.
+SUMS, MEMORIES_SUMMED = (300, 1200, 4800), 10.0
+# Of more samples than these, evenly spread stretches are tested: so many tell all that matters.
+STRETCHES, STRETCH = 8, 8192
 # A lag with fewer pairs than this share of the samples goes into no sum and no statistic.
 LEAST_PAIR_SHARE = 0.2
 # P is not below this share of its first term: a sum of noisy correlations may be negative.
@@ -75,9 +76,6 @@ LEAST_EIGENVALUE = 1e-3
 FEWEST_SAMPLES = 40 * LONGEST_LAG
 # Samples that tell whether errors are larger where an input moves; evenly thinned, for time.
 THINNED_SAMPLES = 2_000
-# Longest memory of the errors that is looked for in the samples; means over a cell show a slow
-# error under a larger fast one.
-LONGEST_MEMORY_S, MEMORY_CELL_S = 600.0, 30.0
 
 # Errors below this share of the flow are rounding, in every analysis of them.
 ROUNDING = 1e-9

@@ -140,8 +140,8 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: Mask) -> Array:
     basis, size, _ = np.linalg.svd(others, full_matrices=False)
     basis = basis[:, size > RANK_TOLERANCE * size.max(initial=0.0)]
     left: Array = columns - basis @ (basis.T @ columns)
-    told = np.linalg.norm(left, axis=0) > RANK_TOLERANCE * np.linalg.norm(columns, axis=0)
-    left[:, ~told] = 0.0
+    independent = np.linalg.norm(left, axis=0) > RANK_TOLERANCE * np.linalg.norm(columns, axis=0)
+    left[:, ~independent] = 0.0
     return left
 
 

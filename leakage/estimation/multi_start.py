@@ -133,7 +133,10 @@ def search(
             residual,
             point,
             jac="3-point",
-            bounds=([one.minimum for one in free], [one.maximum for one in free]),
+            bounds=(
+                [parameter.minimum for parameter in free],
+                [parameter.maximum for parameter in free],
+            ),
             method="trf",
             x_scale="jac",
             xtol=step_tolerance,

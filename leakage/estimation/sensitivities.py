@@ -88,7 +88,7 @@ def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
     for path in motor.paths:
         for stated in path.tolerances():
             name = f"{path.name} {stated.constant}"
-            changed = (stated.path if one.name == path.name else one for one in motor.paths)
+            changed = (stated.path if other.name == path.name else other for other in motor.paths)
             yield Source(name, stated.share, "1", _with(replace(motor, paths=tuple(changed))))
     for name, constant, share in (
         ("pressure-viscosity coefficient", "pressure_viscosity_per_pa", "pressure_viscosity"),
@@ -202,9 +202,9 @@ def error_budget(
     Raises EstimationError, ValidityError if there are fewer samples than free coefficients; if a
     disturbed temperature leaves the range of Walther's equation.
     """
-    n, told = len(flow_l_per_min), [*sources(motor, tolerances)]
+    n, known = len(flow_l_per_min), [*sources(motor, tolerances)]
     read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
-    windows = [read, *(source.disturbed(read) for source in told)]
+    windows = [read, *(source.disturbed(read) for source in known)]
     columns = np.stack([regressors(window.motor, window.conditions) for window in windows])
     flows = np.stack([window.flow_l_per_min for window in windows])
     thetas = _coefficients(motor, np.concatenate([columns[:, :n], flows[:, :, None]], axis=2))
@@ -220,7 +220,7 @@ def error_budget(
     return ErrorBudget(
         tuple(
             Effect(source, source.sign * (theta - thetas[0]), source.sign * (leakage - leakages[0]))
-            for source, theta, leakage in zip(told, thetas[1:], leakages[1:], strict=True)
+            for source, theta, leakage in zip(known, thetas[1:], leakages[1:], strict=True)
         )
     )
 
@@ -259,24 +259,24 @@ def effects_elsewhere(
     shape (p + 1,), which explains the known effects: by source, on θ and on the leakage at `before`
     [l/min]. By source, the effect on the leakage at `after` [l/min] is returned.
     """
-    told = [source for source in sources(motor, tolerances) if source.name in effects]
+    known = [source for source in sources(motor, tolerances) if source.name in effects]
     nothing, theta = np.zeros(1), coefficients[:-1]
-    disturbed = [source.disturbed(Window(motor, before, nothing)).motor for source in told]
+    disturbed = [source.disturbed(Window(motor, before, nothing)).motor for source in known]
 
     def changes(at: OperatingConditions) -> tuple[Array, Array]:
         """By source, change of the regressors, and of the leakage that does not hang on θ."""
         was = regressors(motor, at)[0]
         now = np.array([regressors(of, at)[0] for of in disturbed]).reshape(-1, len(was))
         moved = [
-            one[:-2] @ (source.sign * effects[source.name][0][:-1]) + one[-1] - was[-1]
-            for source, one in zip(told, now, strict=True)
+            row[:-2] @ (source.sign * effects[source.name][0][:-1]) + row[-1] - was[-1]
+            for source, row in zip(known, now, strict=True)
         ]
         return now[:, :-2] - was[:-2], np.array(moved)
 
-    signs = np.array([source.sign for source in told])
+    signs = np.array([source.sign for source in known])
     slopes, moved = changes(before)
-    unexplained = signs * [effects[source.name][1] for source in told] - moved - slopes @ theta
+    unexplained = signs * [effects[source.name][1] for source in known] - moved - slopes @ theta
     theta = theta * (1.0 + np.linalg.lstsq(slopes * theta, unexplained)[0])
     slopes, moved = changes(after)
     found = signs * (slopes @ theta + moved)
-    return dict(zip((source.name for source in told), found.tolist(), strict=True))
+    return dict(zip((source.name for source in known), found.tolist(), strict=True))

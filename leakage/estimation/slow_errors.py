@@ -165,7 +165,7 @@ def slow_errors(
         scales: _most_likely(whole @ design, block, variance * within)
         for scales, block in blocks.items()
     }
-    scales = max(sorted(found, reverse=True), key=lambda one: found[one][2])
+    scales = max(sorted(found, reverse=True), key=lambda direction: found[direction][2])
     return SlowErrors(
         found[scales][0], found[scales][1], within, found[scales][2], scales, directions[scales]
     )
@@ -177,7 +177,7 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
     `free` has the design of the whole, `means` that of the blocks, and `variance` is σ²κ.
     """
     rank = free.shape[1] - 1
-    memories, ratios = (one.ravel() for one in np.meshgrid(MEMORIES, RATIOS))
+    memories, ratios = (values.ravel() for values in np.meshgrid(MEMORIES, RATIOS))
     seen = float(np.average(means.values[:, rank] ** 2, weights=means.n))
     kept = ratios <= LARGEST_SLOW * seen * means.usual_n / variance
     memories, ratios = memories[kept], ratios[kept]
@@ -188,7 +188,7 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
     squares = (information[:, rank, rank] - fitted) / variance
     deviance = log_variance + np.linalg.slogdet(x)[1] + squares
     best = int(np.argmin(deviance))
-    memory, ratio = ((0.0, *one.tolist())[best] for one in (memories, ratios))
+    memory, ratio = ((0.0, *values.tolist())[best] for values in (memories, ratios))
     return memory, ratio, float(deviance[0] - deviance[best])
 
 

@@ -16,15 +16,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage.arrays import Array
 from leakage.estimation.block_statistics import factor, sample_count, squared_error
 
 # A fit below it is poor: the mean of the samples judged describes them better than the model.
 POOR_FIT_PERCENT = 0.0
-# Share of the size of equal values that their mean may be off by.
-ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +39,7 @@ class Agreement:
 
 
 def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) -> Agreement:
-    """Fit percent (23), root mean squared and mean error of a model on the samples of a factor.
+    """Return fit percent (23), root mean squared and mean error of a model on some samples.
 
     The fit is at most 100 and negative where the model is worse than the mean of the data (the
     thesis reads that as 0; the sign is kept, it tells how bad). It is None where ‖y − ȳ‖ is not
@@ -61,7 +58,7 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
 
 
 def is_poor(fit_percent: float | None) -> bool:
-    """True if a fit is worse than that of a constant flow; False if there is no fit."""
+    """Return True if a fit is worse than that of a constant flow; False if there is no fit."""
     return fit_percent is not None and fit_percent < POOR_FIT_PERCENT
 
 
@@ -76,7 +73,7 @@ class Criteria:
 
 
 def criteria(cost: float, d: int, n: float) -> Criteria:
-    r"""FPE (25) [(l/min)²], AIC, AICc and BIC [2]_ of a least squares fit.
+    r"""Return FPE (25) [(l/min)²], AIC, AICc and BIC [2]_ of a least squares fit.
 
     .. math::
         FPE = V\frac{1 + d/N}{1 - d/N},\quad AIC = N\ln V + 2d + N(\ln 2\pi + 1),
@@ -96,40 +93,11 @@ def criteria(cost: float, d: int, n: float) -> Criteria:
     return Criteria(fpe, aic, aicc, likelihood + d * math.log(n))
 
 
-def lag_one_autocorrelation(residual: Array, begins: NDArray[np.int64]) -> float | None:
-    """Correlation of each residual with the one before it in its stretch; None without pair or
-    spread.
+def effective_sample_count(n: int, autocorrelation: Array) -> float | None:
+    """Return N / (1 + 2 Σ ρ(k)), the number of independent samples that carry as much, at most N.
 
-    `begins` are the first samples of the stretches without a gap, shape (s,).
-    """
-    pairs = len(residual) - len(begins)
-    if not pairs:
-        return None
-    mean = float(residual.mean())
-    centred = residual - mean
-    variance = float(centred @ centred) / len(centred)
-    # The mean of equal residuals is off by rounding, which would correlate perfectly.
-    if variance <= (ROUNDING * mean) ** 2:
-        return None
-    products = centred[1:] @ centred[:-1] - centred[begins[1:]] @ centred[begins[1:] - 1]
-    return float(products) / pairs / variance
-
-
-def effective_sample_count(n: int, autocorrelation: float | None) -> float | None:
-    """N (1 − φ̂)/(1 + φ̂): the number of independent samples that carry as much, at most N."""
-    if autocorrelation is None:
-        return None
-    phi = min(max(autocorrelation, 0.0), 1.0 - 1.0 / max(n, 2))
-    return n * (1 - phi) / (1 + phi)
-
-
-def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | None:
-    r"""N / (1 + 2 Σ ρ(k)): the effective number of samples by all correlations, at most N.
-
-    White noise on top of a slow error lowers the correlation of neighbours and hides the slow error
-    from :func:`effective_sample_count`, which then counts too many. For a first-order
-    autoregression both are the same. None where the correlations do not come to an end within the
-    lags given, from ρ(0): the errors remember longer than can be told.
+    All correlations count: white noise on top of a slow error lowers that of neighbours. None where
+    they do not come to an end within the lags given, from ρ(0).
 
     Notes
     -----

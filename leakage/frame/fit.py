@@ -12,7 +12,6 @@ from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.compression import CompressedSamples, compress
-from leakage.estimation.correlation import memory_s
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sample_blocks import (
     NONE_CHOSEN,
@@ -146,12 +145,6 @@ def fit_frame(
         used=np.repeat(used, sizes),
         blocks=blocks,
         estimate=estimate,
-        memory_s=memory_s(
-            made.error_of(theta)[made.rows_of(TRAINING)],
-            index[made.rows_of(TRAINING)],
-            period_us / SECOND_US,
-            samples.rounding_l_per_min,
-        ),
         training=agreement(made.factor_of(TRAINING), theta),
         validation=agreement(made.factor_of(VALIDATION), theta),
         tolerances=tolerances,

@@ -53,7 +53,6 @@ class FrameFit:
     # blocks, estimate: The blocks of these, and what was estimated from them.
     blocks: SampleBlocks
     estimate: BlockEstimate
-    memory_s: float  # Time over which the errors of the training samples forget [s].
     # training, validation: Agreement of the fit to the training samples with these, and with the
     # validation samples.
     training: Agreement
@@ -142,8 +141,8 @@ class FrameFit:
     def _total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
         """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
         contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
-        told = self.identification.distribution
-        intervals = [None if told is None else told.interval(contrast) for contrast in contrasts]
+        known = self.identification.distribution
+        intervals = [None if known is None else known.interval(contrast) for contrast in contrasts]
         samples = np.array(
             [np.nan if interval is None else interval.half_width for interval in intervals]
         )
@@ -162,9 +161,9 @@ class FrameFit:
         if sensors is not None:
             beside[free] = [math.hypot(sensors[at], beside[at]) for at in free]
         totals = {
-            at: None if told is None else math.hypot(told.half_width, beside[at])
+            at: None if known is None else math.hypot(known.half_width, beside[at])
             for at in free
-            for told in (self.identification.coefficients[at].information,)
+            for known in (self.identification.coefficients[at].information,)
         }
         identification = judge_by_total(self.estimate.fit, self.identification, totals)
         return replace(self, identification=identification, beside_samples=beside)
@@ -194,14 +193,13 @@ class FrameFit:
             return ErrorBudget(())
 
     def residual_tests(self, part: str = "validation") -> ResidualAnalysis:
-        """Whiteness and independence of what the fit to the training samples leaves in a part."""
+        """Return whiteness and independence of what the training fit leaves in a part."""
         chosen, index = self.samples.only(self.parts == part), self.samples.index
         theta = np.append(self.estimate.training.coefficients, 1.0)
         return analyse_residuals(
             chosen.measured_l_per_min - regressors(self.motor, chosen.conditions) @ theta,
             chosen.inputs,
             index[self.parts == part],
-            self.memory_s * SECOND_US / self.samples.period_us,
             self.samples.rounding_l_per_min,
         )
 
@@ -232,10 +230,10 @@ class FrameFit:
         paths, intervals = self.paths.values(), self.conf_int().values()
         judged = self.judgements.values()
         totals = [
-            math.hypot(one.information.half_width, self.beside_samples[at])
-            if one.interval and one.information
+            math.hypot(judgement.information.half_width, self.beside_samples[at])
+            if judgement.interval and judgement.information
             else None
-            for at, one in zip(self.paths, judged, strict=True)
+            for at, judgement in zip(self.paths, judged, strict=True)
         ]
         return {
             "parameter": [path.coefficient_name for path in paths],
@@ -246,8 +244,8 @@ class FrameFit:
             "upper": [None if interval is None else interval[1] for interval in intervals],
             "total_half_width": totals,
             "configured": [path.configured_coefficient for path in paths],
-            "verdict": [one.verdict for one in judged],
-            "reason": [one.reason for one in judged],
+            "verdict": [judgement.verdict for judgement in judged],
+            "reason": [judgement.reason for judgement in judged],
         }
 
     def to_polars(self) -> pl.DataFrame:

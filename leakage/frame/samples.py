@@ -192,7 +192,7 @@ class FrameTable:
             return self._columns[self._names.get(name, name)]
         known = ", ".join(map(str, self._known))
         stem, unit = QUANTITIES.get(name, ("", ""))
-        other = [one for one in self._known if str(one).startswith(stem)]
+        other = [name for name in self._known if str(name).startswith(stem)]
         if stem and other:
             raise ShapeError(
                 "column_unit",

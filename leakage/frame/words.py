@@ -77,13 +77,13 @@ def warnings(
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """The cells of a coefficient."""
-    told = row["lower"] is not None
+    has_interval = row["lower"] is not None
     return (
         row["parameter"],
-        f"{row['value']:.4g}" if told or row["verdict"] == "fixed" else "-",
+        f"{row['value']:.4g}" if has_interval or row["verdict"] == "fixed" else "-",
         IN_WORDS.get(row["unit"], row["unit"]),
-        f"[{row['lower']:.4g}, {row['upper']:.4g}]" if told else "-",
-        f"{row['total_half_width']:.2g}" if told else "-",
+        f"[{row['lower']:.4g}, {row['upper']:.4g}]" if has_interval else "-",
+        f"{row['total_half_width']:.2g}" if has_interval else "-",
         row["verdict"].replace("_", " "),
     )
 

@@ -71,12 +71,12 @@ def check(
         settings = read_settings(state)
     specs = [as_published(spec, settings.get(spec.motor_id)) for spec in fleet.motors]
     checks = tuple(check_motor(spec, is_full=full) for spec in specs)
-    for one in checks:
+    for motor in checks:
         if as_json:
-            tell(asdict(one), "", as_json=True)
+            tell(asdict(motor), "", as_json=True)
         else:
-            _print_check(one)
-    placeholders = sorted({name for one in checks for name in one.placeholders})
+            _print_check(motor)
+    placeholders = sorted({name for motor in checks for name in motor.placeholders})
     if placeholders and not as_json:
         names = ", ".join(placeholders)
         typer.echo(f"placeholders, to be replaced with the manufacturer's values: {names}")
@@ -88,7 +88,7 @@ def check(
     for fault in faults:
         line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)
         typer.echo(line, err=True)
-    faulty = faults or any(one.faults for one in checks)
+    faulty = faults or any(motor.faults for motor in checks)
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
@@ -119,24 +119,25 @@ def _check_tables(config: Path, output: Path | None, *, as_json: bool) -> int:
     return EXIT_MOTORS_FAILED if faults else EXIT_OK
 
 
-def _print_check(one: MotorCheck) -> None:
-    span = f", {one.first} to {one.last}" if one.first else ""
+def _print_check(motor: MotorCheck) -> None:
+    span = f", {motor.first} to {motor.last}" if motor.first else ""
     typer.echo(
-        f"{one.motor_id}: {one.motor_type}, {one.log_format}, {counted(one.n_files, 'file')}, "
-        f"{counted(one.n_nights, 'night')}{span}, {counted(len(one.faults), 'fault')}"
+        f"{motor.motor_id}: {motor.motor_type}, {motor.log_format}, "
+        f"{counted(motor.n_files, 'file')}, {counted(motor.n_nights, 'night')}{span}, "
+        f"{counted(len(motor.faults), 'fault')}"
     )
-    if one.channels:
-        print_table(CHANNEL_COLUMNS, list(map(_channel_cells, one.channels)))
-    refused = Counter(f"{night.status}: {night.reason}" for night in one.forecast if night.reason)
-    if one.forecast:
-        n_fitted = sum(night.status == "ok" for night in one.forecast)
-        typer.echo(f"{n_fitted} of {counted(len(one.forecast), 'night')} read would be fitted")
+    if motor.channels:
+        print_table(CHANNEL_COLUMNS, list(map(_channel_cells, motor.channels)))
+    refused = Counter(f"{night.status}: {night.reason}" for night in motor.forecast if night.reason)
+    if motor.forecast:
+        n_fitted = sum(night.status == "ok" for night in motor.forecast)
+        typer.echo(f"{n_fitted} of {counted(len(motor.forecast), 'night')} read would be fitted")
     for reason, n_nights in refused.most_common(_MOST_REASONS):
         typer.echo(f"{counted(n_nights, 'night')}: {reason}")
-    for note in one.notes:
+    for note in motor.notes:
         typer.echo(note)
-    for fault in one.faults:
-        typer.echo(f"{one.motor_id}: {fault}", err=True)
+    for fault in motor.faults:
+        typer.echo(f"{motor.motor_id}: {fault}", err=True)
     typer.echo()
 
 

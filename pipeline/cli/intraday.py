@@ -66,7 +66,7 @@ def look(
             due = max(due + pause_s, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0.0))
         found = _check(fleet, wanted, as_json=as_json)
-    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.fault for one in found) else EXIT_OK)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(check.fault for check in found) else EXIT_OK)
 
 
 def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[MotorCheck]:

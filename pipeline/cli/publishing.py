@@ -152,22 +152,22 @@ def prune(
         with locked(fleet.output), open_state(fleet.output) as state:
             remove(state, old)
     word = "removed" if yes else "can be removed"
-    for one in old:
+    for part in old:
         event = {
             "event": "prune",
-            "table": one.table,
-            "n_files": len(one.names),
-            "size_bytes": one.size_bytes,
-            "first_night": one.first,
-            "last_night": one.last,
+            "table": part.table,
+            "n_files": len(part.names),
+            "size_bytes": part.size_bytes,
+            "first_night": part.first,
+            "last_night": part.last,
             "removed": yes,
-            "loss": one.loss,
+            "loss": part.loss,
         }
         words = (
-            f"{one.table}: {counted(len(one.names), 'file')}, {one.first} to {one.last}, "
-            f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
+            f"{part.table}: {counted(len(part.names), 'file')}, {part.first} to {part.last}, "
+            f"{part.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {part.loss}"
         )
         tell(event, words, as_json=as_json)
     if not as_json:
-        size = sum(one.size_bytes for one in old) / 1024**2
+        size = sum(part.size_bytes for part in old) / 1024**2
         say(f"{size:.1f} MiB {word}" + ("" if yes or not old else "; say --yes to remove them"))

@@ -171,7 +171,7 @@ def fit(
         fleet = load(config, Path(folder), None)
         request = RunRequest(fleet, fleet.known_motors([motor]), since=night, until=night)
         result = run_fleet(request)
-        growing = [one for outcome in result.outcomes for one in outcome.growing]
+        growing = [log for outcome in result.outcomes for log in outcome.growing]
         if growing and not result.n_nights:
             raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
         (outcome,) = result.outcomes
@@ -309,7 +309,7 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
 def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> None:
     """Print what a run has done."""
     files = _by_fate(result.files)
-    errors = dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
+    errors = dict(sorted(Counter(outcome.error_code or "" for outcome in result.failed).items()))
     if as_json:
         event = {
             "event": "run",

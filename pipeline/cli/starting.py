@@ -121,7 +121,10 @@ def init(
     observed = observed_of(proposal)
     proposal = with_sampling(proposal, observed)
     _print(proposal, observed)
-    faults = (*proposal.faults, *(one.fault for one in observed.values() if one.fault))
+    faults = (
+        *proposal.faults,
+        *(log.fault for log in observed.values() if log.fault),
+    )
     for key in proposal.unneeded:
         typer.echo(f"not needed: the answer {key}: the logs say it, or another answer does")
     for question in questions:
@@ -178,7 +181,7 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
 
     for key, folder in (("motor_type", "motor_types"), ("oil", "oils")):
         known = tuple(path.stem for path in sorted((configs / folder).glob("*.toml")))
-        given = {name: one for name, one in answers.items() if name.rpartition(".")[2] == key}
+        given = {name: answer for name, answer in answers.items() if name.rpartition(".")[2] == key}
         for name, answer in given.items():
             if answer not in known:
                 message = f"{name}: got {answer!r}; expected one of {', '.join(known)}"

@@ -258,7 +258,7 @@ def ack(
         record_decision(fleet.output, Decision(motor, "", now(), "removed", removed, None, note))
         typer.echo(f"{motor}: that it was removed is confirmed; the next run leaves it out")
         return
-    parts = [_parts(fleet.motor(motor), one or ()) for one in (worn, sound)]
+    parts = [_parts(fleet.motor(motor), nights or ()) for nights in (worn, sound)]
     if opened or any(parts):
         if not opened or not any(parts) or finding:
             message = "expected --opened with --worn or --sound, and no --finding"

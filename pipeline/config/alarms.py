@@ -113,7 +113,7 @@ class Email(Section):
         return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)
 
     def misfits(self) -> Iterator[Misfit]:
-        for key, address in [("to", one) for one in self.to] + [("sender", self.sender)]:
+        for key, address in [("to", address) for address in self.to] + [("sender", self.sender)]:
             if self.to and not is_mail_address(address):
                 yield (key,), "expected an address such as shift@plant.example", address
         if self.to and mail_server(self.server) is None:

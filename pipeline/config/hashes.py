@@ -87,8 +87,8 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         "version": STATISTICS_VERSION,
         "columns": motor.columns,
         "paths": [
-            one.shaping(Stage.BLOCKS if one.name in free else Stage.BLOCKS | Stage.SCALE)
-            for one in spec.motor_type.path
+            path.shaping(Stage.BLOCKS if path.name in free else Stage.BLOCKS | Stage.SCALE)
+            for path in spec.motor_type.path
         ],
         "oil": spec.oil_on(night).shaping(Stage.BLOCKS),
         "settings": settings,
@@ -160,16 +160,16 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     """
     versions = before.get("versions", {})
     steps = [
-        f"{key} {versions.get(key, '?')} to {one}"
-        for key, one in now.get("versions", {}).items()
-        if one != versions.get(key)
+        f"{key} {versions.get(key, '?')} to {version}"
+        for key, version in now.get("versions", {}).items()
+        if version != versions.get(key)
     ]
     if steps and before:
         return f"another version of the program ({', '.join(steps)})"
     parts = ("nights", "trends") if trends else ("nights",)
     old, new = (
-        dict(item for part in parts for item in _flat("", one.get(part, {})))
-        for one in (before, now)
+        dict(item for part in parts for item in _flat("", settings.get(part, {})))
+        for settings in (before, now)
     )
     names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
     if not names or not before:

@@ -84,7 +84,7 @@ def load_fleet(path: Path) -> Fleet:
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
-        own = {f"motors/{name}.toml": one for name, one in motors.own.items()}
+        own = {f"motors/{name}.toml": document for name, document in motors.own.items()}
         raise ConfigError(_at_their_place(faults, own, defaults, path.name))
     output, textfile = places["output"], fleet.metrics.textfile
     found = Fleet(
@@ -267,7 +267,7 @@ def validated(
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
         return model.model_validate_json(json.dumps(document, default=str), context=context)
     except ValidationError as error:
-        faults += [fault_of(one, file, document) for one in error.errors()]
+        faults += [fault_of(detail, file, document) for detail in error.errors()]
     return None
 
 

@@ -86,7 +86,7 @@ class Periods(Section):
         periods = sorted((*self.training, *self.validation))
         if any(begin >= end for begin, end in periods):
             yield (), "expected each period as [from, to], the later time second", None
-        if any(one[1] > other[0] for one, other in pairwise(periods)):
+        if any(period[1] > following[0] for period, following in pairwise(periods)):
             yield (), "expected periods that do not overlap", None
 
     def within(self, night: Night) -> ChosenPeriods:

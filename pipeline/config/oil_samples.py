@@ -90,7 +90,7 @@ def measured_curve(
         return None
     days = [date.toordinal() for date, _ in known]
     a, b = (
-        float(np.interp(night.toordinal(), days, one))
-        for one in zip(*(curve for _, curve in known), strict=True)
+        float(np.interp(night.toordinal(), days, constants))
+        for constants in zip(*(curve for _, curve in known), strict=True)
     )
     return a, b

@@ -251,10 +251,10 @@ class Section(BaseModel):
                 part = value.shaping(stage)
                 found |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):
-                parts = [one.shaping(stage) for one in value]
+                parts = [section.shaping(stage) for section in value]
                 found |= {key: parts} if any(parts) else {}
             elif isinstance(value, dict) and isinstance(next(iter(value.values()), None), Section):
-                found[key] = {name: one.shaping(stage) for name, one in value.items()}
+                found[key] = {name: section.shaping(stage) for name, section in value.items()}
             elif is_of_it:
                 found[key] = value
         return found

@@ -50,8 +50,8 @@ def write_demo(
             _copy_configs(folder / "configs")
         fleet = load_fleet(folder / "configs" / "fleet.toml")
         nights_to_make = [
-            DemoNight(one, fleet.motor(one.motor_id), plan, number)
-            for one in DEMO_FLEET
+            DemoNight(motor, fleet.motor(motor.motor_id), plan, number)
+            for motor in DEMO_FLEET
             for number in range(1, plan.nights + 1)
         ]
         _clear(demo)

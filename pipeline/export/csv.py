@@ -95,8 +95,8 @@ def _export_table(
         nonlocal count
         file.write((BYTE_ORDER_MARK if request.byte_order_mark else "").encode())
         file.write((separator.join(table.schema) + "\n").encode())
-        for one in files_of(output, table):  # one by one: memory does not grow with the history
-            rows = as_text(read_table(one, table).filter(chosen), separator)
+        for path in files_of(output, table):  # one by one: memory does not grow with the history
+            rows = as_text(read_table(path, table).filter(chosen), separator)
             count += rows.height
             text = rows.write_csv(
                 include_header=False, separator=separator, decimal_comma=request.decimal == ","
@@ -112,7 +112,7 @@ def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
     chosen = pl.lit(value=True)
     if request.motors and "motor_id" in table.schema:
         chosen &= pl.col("motor_id").is_in(request.motors)
-    times = [pl.col(one).dt.date() for one in table.key if table.schema[one] == TIMESTAMP]
+    times = [pl.col(column).dt.date() for column in table.key if table.schema[column] == TIMESTAMP]
     for day in [pl.col("night")] if "night" in table.schema else times[:1]:
         if request.since is not None:
             chosen &= day >= request.since

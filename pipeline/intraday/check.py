@@ -97,7 +97,7 @@ def check_fleet(
                 publish_rows(state, check.rows, _run_id(spec))
             found += checks
         _deliver(fleet, state, receivers)
-    return tuple(sorted(found, key=lambda one: one.motor_id))
+    return tuple(sorted(found, key=lambda check: check.motor_id))
 
 
 def check_motor(
@@ -170,7 +170,7 @@ def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorChec
     if not check.rows or check.state != RISEN:
         return check
     (row,) = check.rows
-    others = [one for one in circuit if one is not check and one.end_us]
+    others = [other for other in circuit if other is not check and other.end_us]
     alike = sum(200.0 * other.latest >= row["change_percent"] for other in others)
     words = f"{alike} of {len(others)} other motors of its oil circuit have risen alike; "
     if others and alike == len(others):
@@ -212,7 +212,7 @@ def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last:
     spec = as_published(spec, read_settings(state).get(spec.motor_id))
     time_us, nights = microseconds(last["time"]), spec.settings.nights
     first = night_of(time_us, nights)
-    published = [one for one in nights_back(state.output, BLOCKS) if one >= first]
+    published = [night for night in nights_back(state.output, BLOCKS) if night >= first]
     begins = [event.date for event in spec.file.baseline_events]
     begins += [decision.night for decision in decisions if decision.kind == "baseline_reset"]
     if any(first < begin <= max(published, default=first) for begin in begins):

@@ -238,10 +238,12 @@ def nights_before(
             return read_blocks(output, spec, watch_columns, since)
 
         watch = watch.after(night, earlier)
-    apart = [float(np.median(np.diff(one.middle_s))) for one in nights if len(one.flow) > 1]
+    apart = [
+        float(np.median(np.diff(blocks.middle_s))) for blocks in nights if len(blocks.flow) > 1
+    ]
     length_s = float(np.median(apart)) if apart else 0.0
     merged = max(1, round(length_s / BLOCK_S))
-    rows = [{COLUMNS[name]: value for name, value in _readings(one).items()} for one in nights]
+    rows = [{COLUMNS[name]: value for name, value in _readings(blocks).items()} for blocks in nights]
     return NightsBefore(watch, watch_columns, merged, usual_readings(rows[-USUAL_NIGHTS:]))
 
 

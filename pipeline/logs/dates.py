@@ -70,7 +70,7 @@ def _date(year: int, month: int, day: int) -> Iterator[dt.date]:
 def days_off(name: str, first_us: int, last_us: int) -> int | None:
     """Return by how many days stamps lie beside the dates in a name; None: it has none."""
     first, last = utc(first_us).date(), utc(last_us).date()
-    off = [max((first - one).days, (one - last).days, 0) for one in dates_in(name)]
+    off = [max((first - date).days, (date - last).days, 0) for date in dates_in(name)]
     return min(off, default=None)
 
 
@@ -91,7 +91,7 @@ def dated_otherwise(records: Mapping[str, FileRecord]) -> dict[str, int]:
 def without_misdated(records: Mapping[str, FileRecord]) -> dict[str, FileRecord]:
     """Refuse logs whose stamps contradict the dates in their names, if most others' agree."""
     odd = dated_otherwise(records)
-    n_dated = sum(1 for name, one in records.items() if one.status == "ok" and dates_in(name))
+    n_dated = sum(1 for name, record in records.items() if record.status == "ok" and dates_in(name))
     if 2 * len(odd) >= n_dated:
         return dict(records)
     return {
@@ -128,16 +128,16 @@ def with_told_nights(
     A date means the night that it does in the names of the readable files. A night after the
     latest, or far from those of the motor's other logs, is none.
     """
-    if not any(has_no_span(one) and not one.nights for one in records.values()):
+    if not any(has_no_span(record) and not record.nights for record in records.values()):
         return dict(records)
-    readable = [one for one in records.values() if one.status == "ok" and one.nights]
-    dated = ((date_in(one.path), min(labels_of(one))) for one in readable)
+    readable = [record for record in records.values() if record.status == "ok" and record.nights]
+    dated = ((date_in(record.path), min(labels_of(record))) for record in readable)
     lags = Counter(night - date for date, night in dated if date is not None)
     lag = lags.most_common(1)[0][0] if lags else 0 * DAY
-    earlier = [one for one in before.values() if one.status == "ok"]
-    known = {label for one in (*readable, *earlier) for label in labels_of(one)}
+    earlier = [record for record in before.values() if record.status == "ok"]
+    known = {label for record in (*readable, *earlier) for label in labels_of(record)}
 
-    def told(record: FileRecord) -> FileRecord:
+    def dated_by_neighbours(record: FileRecord) -> FileRecord:
         held, named = before.get(record.path), date_in(record.path)
         if held is not None and held.nights:
             nights, how = labels_of(held), "by what it held before"
@@ -146,13 +146,13 @@ def with_told_nights(
         else:
             return record
         first, last = min(known or nights) - FARTHEST_NIGHT, max(known or nights) + FARTHEST_NIGHT
-        kept = sorted(map(str, (one for one in nights if first <= one <= min(last, latest))))
+        kept = sorted(map(str, (night for night in nights if first <= night <= min(last, latest))))
         if not kept:
             return record
         message = f"{record.message} (night known {how})"
         return replace(record, nights=tuple(kept), message=message)
 
     return {
-        name: told(one) if has_no_span(one) and not one.nights else one
-        for name, one in records.items()
+        name: dated_by_neighbours(record) if has_no_span(record) and not record.nights else record
+        for name, record in records.items()
     }

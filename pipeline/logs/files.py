@@ -63,7 +63,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
     """The change of a file since it was looked at; None without one, or if the file is gone."""
     now = look_at(record.path, path)
     # Not by `changed_ns`: a backup that links the file does nothing to its content.
-    is_same = all(getattr(now, one) == getattr(record, one) for one in OF_CONTENT)
+    is_same = all(getattr(now, name) == getattr(record, name) for name in OF_CONTENT)
     if now.status == "failed" or is_same:
         return None
     is_longer = now.size != record.size
@@ -186,13 +186,13 @@ def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[st
     """Messages about channels all of whose cells are blank."""
     cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
     blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
-    told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
+    notes = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
     if blank and len(blank) == len(cells):
-        message = f"there is no sample: {', '.join(told)}"
+        message = f"there is no sample: {', '.join(notes)}"
         raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
     # An on-change channel is blank in every row of another channel.
     silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
-    return [note for name, note in zip(blank, told, strict=True) if name not in silent]
+    return [note for name, note in zip(blank, notes, strict=True) if name not in silent]
 
 
 def _is_blank(channel: RawChannel) -> bool:

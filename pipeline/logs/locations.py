@@ -157,7 +157,7 @@ def _matching(
     unmatched: list[str] = []
     for pattern in patterns:
         folder = re.split(r"[*?\[]", pattern)[0].rpartition("/")[0]
-        here = {one.key: one for one in store.list(folder)}
+        here = {stored.key: stored for stored in store.list(folder)}
         parts = pattern.split("/")
         if pattern in here:
             matches = [pattern]

@@ -95,7 +95,7 @@ class MotorLogs:
         """Each file as its ends tell it."""
         self.absent = self._source.absent
         found = {name: self._look_at(name) for name in self._source.names}
-        return {name: replace(one, read_with=self._read_with) for name, one in found.items()}
+        return {name: replace(record, read_with=self._read_with) for name, record in found.items()}
 
     def _look_at(self, name: str) -> FileRecord:
         still_alive()
@@ -142,7 +142,7 @@ class MotorLogs:
         if not self._reach_us:
             return set()
         record, nights = self.files[name], self._spec.settings.nights
-        ends = {one.last_us for one in (record, self.before.get(name, record))}
+        ends = {each.last_us for each in (record, self.before.get(name, record))}
         found: set[dt.date] = set()
         for last_us in ends:
             if last_us is not None:
@@ -166,7 +166,7 @@ class MotorLogs:
     def contents_of(self, label: dt.date) -> tuple[str, ...]:
         """Hashes of the contents of a night's files, cut short, in order."""
         found = (self.files[name] for name in self.of_night(label))
-        return tuple(one.sha256[:HASH_LENGTH] for one in found if one.sha256)
+        return tuple(record.sha256[:HASH_LENGTH] for record in found if record.sha256)
 
     def has_contents(self, hashes: Collection[str]) -> bool:
         """True where all contents of some hashes are there, under whatever names."""
@@ -175,7 +175,7 @@ class MotorLogs:
     @property
     def _sound(self) -> set[str]:
         found = (file for file in self.files.values() if file.status == "ok")
-        return {one.sha256[:HASH_LENGTH] for one in found if one.sha256}
+        return {record.sha256[:HASH_LENGTH] for record in found if record.sha256}
 
     def of_night(self, label: dt.date) -> list[str]:
         """Files of a night, in order of time."""

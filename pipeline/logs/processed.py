@@ -181,14 +181,14 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
             ("logs", _LOG_COLUMNS, change.files),
             ("nights", _NIGHT_COLUMNS, change.nights),
         ):
-            gone = [(motor_id, str(one)) for one, record in changed.items() if record is None]
+            gone = [(motor_id, str(name)) for name, record in changed.items() if record is None]
             state.write_all(f"DELETE FROM {table} WHERE (motor_id, {columns[0]}) = (?, ?)", gone)
             places = ", ".join("?" * (1 + len(columns)))
             insert = f"INSERT OR REPLACE INTO {table} (motor_id, {', '.join(columns)})"
-            kept = {str(one): record for one, record in changed.items() if record is not None}
+            kept = {str(name): record for name, record in changed.items() if record is not None}
             rows = (
-                (motor_id, key, *(_stored(getattr(one, name)) for name in columns[1:]))
-                for key, one in kept.items()
+                (motor_id, key, *(_stored(getattr(record, name)) for name in columns[1:]))
+                for key, record in kept.items()
             )
             state.write_all(f"{insert} VALUES ({places})", rows)
 
@@ -275,7 +275,7 @@ def forget_nights(
     Raises StoreError if the state cannot be written.
     """
     fitted: dict[str, set[dt.date]] = {}
-    motor_ids = [one for (one,) in state.rows("SELECT motor_id FROM motors")]
+    motor_ids = [motor_id for (motor_id,) in state.rows("SELECT motor_id FROM motors")]
     with state.transaction():
         for night in nights:
             label = night.isoformat()

@@ -12,7 +12,7 @@ import datetime as dt
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -33,10 +33,10 @@ from leakage.estimation.identifiability import (
 )
 from leakage.estimation.misfit import Misfit, model_errors
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, fit
+from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sensitivities import SENSORS
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
-from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
 
 Row = Mapping[str, Any]
@@ -132,10 +132,8 @@ class BlockFit:
     # What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
     # without such a curve.
     roller: RollerScale | None = None
-    # Time over which the training errors forget [s]; it needs samples, nan without.
-    memory_s: float = math.nan
     # Residual analyses of training and validation samples; empty without samples.
-    residuals: tuple[PartResiduals, ...] = ()
+    residuals: Mapping[str, ResidualAnalysis] = field(default_factory=dict)
 
 
 def fit_stored_blocks(
@@ -236,7 +234,7 @@ def _errors(
     fitted, distribution = made.fit, identification.distribution
     fixed = fitted.proven_minimum.fixed
     sensors = of_sensors(budget)
-    rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
+    rows = {name: regressors(fitted.motor, place)[0] for name, place in at.items()}
     leakages = {name: row[:-2] @ fitted.unbounded[:-1] + row[-1] for name, row in rows.items()}
     constants = 0.0
     if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:

@@ -95,14 +95,14 @@ def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[s
     """Yield pairs of columns that changed places; the flow is as before."""
     if _factor(now[FLOW], usual[FLOW]) > FAR:
         return
-    for one, other in combinations(PLACES, 2):
-        are_far = all(_factor(now[name], usual[name]) > FAR for name in (one, other))
-        pairs = (now[one], usual[other]), (now[other], usual[one])
+    for channel, other in combinations(PLACES, 2):
+        are_far = all(_factor(now[name], usual[name]) > FAR for name in (channel, other))
+        pairs = (now[channel], usual[other]), (now[other], usual[channel])
         if are_far and all(_factor(*pair) < NEAR for pair in pairs):
             yield (
-                f"columns changed? {plain(one)} and {plain(other)} look swapped: "
-                f"{_said(one, now)} and {_said(other, now)}, "
-                f"before {_said(one, usual)} and {_said(other, usual)}"
+                f"columns changed? {plain(channel)} and {plain(other)} look swapped: "
+                f"{_said(channel, now)} and {_said(other, now)}, "
+                f"before {_said(channel, usual)} and {_said(other, usual)}"
             )
 
 
@@ -153,7 +153,7 @@ def _signs(
         left_of_range, is_exact, is_related = left, left < USUAL, off > WORN
     if left_of_range > NEAR:
         return 0
-    others = [one for one in COLUMNS if one not in (name, _difference_of(name))]
+    others = [channel for channel in COLUMNS if channel not in (name, _difference_of(name))]
     return is_exact + is_related + all(_is_usual(other, usual, now) for other in others)
 
 
@@ -200,5 +200,5 @@ def _said(name: str, values: Mapping[str, float]) -> str:
     return f"{values[name]:.3g} {canonical_unit(name).replace('degC', '°C')}"
 
 
-def _factor(one: float, other: float) -> float:
-    return max(one / other, other / one)
+def _factor(value: float, other: float) -> float:
+    return max(value / other, other / value)

@@ -6,7 +6,6 @@ Tolerances of sensors are as stated, or by the kind of sensor where none is.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,6 @@ from leakage.estimation.sensitivities import (
     Tolerances,
     error_budget,
 )
-from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
@@ -62,18 +60,13 @@ def fit_modes(
 
 
 def with_residuals(
-    spec: MotorSpec,
-    statistics: NightStatistics,
-    modes: tuple[BlockFit, ...],
-    errors: Sequence[Array],
+    statistics: NightStatistics, modes: tuple[BlockFit, ...]
 ) -> tuple[BlockFit, ...]:
-    """Fits with the memory of their errors, and the analyses of what they leave unexplained."""
-    smoothing, fits = spec.settings.smoothing, []
-    for mode, error in zip(modes, errors, strict=True):
-        theta = mode.stated.training.coefficients
-        memory_s, residuals = night_residuals(statistics, theta, error, smoothing)
-        fits.append(replace(mode, memory_s=memory_s, residuals=residuals))
-    return tuple(fits)
+    """Return fits with the analyses of what they leave unexplained."""
+    return tuple(
+        replace(mode, residuals=night_residuals(statistics, mode.stated.training.coefficients))
+        for mode in modes
+    )
 
 
 def _budget(
@@ -115,7 +108,7 @@ def assumed_sensors(spec: MotorSpec) -> dict[str, str]:
     return {
         name: kind
         for name, kind in ASSUMED.items()
-        if not any(_is_stated(one) for _, one in _channels(spec, name))
+        if not any(_is_stated(channel) for _, channel in _channels(spec, name))
     }
 
 

@@ -102,15 +102,12 @@ def fit_night(
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, budget = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
-            errors = [statistics.error_of(mode.stated.training.coefficients) for mode in modes]
-            modes = with_residuals(spec, statistics, modes, errors)
+            modes = with_residuals(statistics, modes)
         with _timed(seconds, "fit_s"):
             rows |= fit_rows(spec, night.date, statistics, modes, budget)
             lag = lag_columns(statistics)
             rows["fits"] = [row | lag for row in rows["fits"]]
-            rows["predictions"] = prediction_rows(
-                spec.motor_id, night.date, statistics, modes, errors[0]
-            )
+            rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except EstimationError as error:
         status, reason, code = INSUFFICIENT_DATA, str(error), None
     except (Insufficient, LeakageError) as error:
@@ -199,9 +196,9 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSp
     if not samples.n_running and 2 * still > samples.n_logged:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < spec.settings.windows.minimum_kept_share:
-        told = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
-        told.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
-        causes = _shares({f"{q.channel} {q.reason}": q for q in told[:2]})
+        rules = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
+        rules.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
+        causes = _shares({f"{q.channel} {q.reason}": q for q in rules[:2]})
         limit = 100 * spec.settings.windows.minimum_kept_share
         raise Insufficient(
             INSUFFICIENT_DATA,

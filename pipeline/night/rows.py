@@ -112,10 +112,9 @@ def _mode_columns(
 ) -> Row:
     """Return the figures of one fit."""
     return {
-        "correlation_time_s": mode.memory_s,
         **agreement_columns(spec, mode, statistics.factor_of),
         **block_fit_columns(mode),
-        **residual_columns(mode.residuals),
+        **residual_columns(mode.residuals, statistics.samples.period_us / 1e6),
         **leakage_columns(mode),
     }
 

@@ -106,7 +106,7 @@ def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> lis
     """Rows of `quality`: every rule that was applied, those that refused nothing too."""
     own = {"motor_id": motor_id, "night": night}
     names = [field.name for field in fields(Quality)]
-    return [own | {name: getattr(one, name) for name in names} for one in found]
+    return [own | {name: getattr(rule, name) for name in names} for rule in found]
 
 
 def block_rows(
@@ -183,13 +183,10 @@ def prediction_rows(
     night: dt.date,
     statistics: NightStatistics,
     modes: Sequence[BlockFit],
-    error: Array,
 ) -> list[Row]:
-    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted.
-
-    `error` has the errors of the first mode.
-    """
+    """Return rows of `predictions`: thinned samples, extremes among them, and the fits at them."""
     samples, z = statistics.samples, statistics.z
+    error = statistics.error_of(modes[0].stated.training.coefficients)
     pressure, speed = np.abs(samples.pressure_difference_bar), statistics.conditions.speed_rpm
     chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
     z = z[chosen]

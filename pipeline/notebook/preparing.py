@@ -66,8 +66,8 @@ class Prepared:
         if motor is None:
             raise UsageError("no_motor", "these samples come without a motor: say fit(motor)")
         if not self.frame.height:
-            told = "; ".join(self.notes)
-            raise UsageError("no_samples", f"no sample of these nights can be used: {told}")
+            notes = "; ".join(self.notes)
+            raise UsageError("no_samples", f"no sample of these nights can be used: {notes}")
         return fit_frame(
             self.frame,
             motor,
@@ -155,7 +155,7 @@ def _labels(text: str) -> list[dt.date]:
     """The nights from A to B, both included, or A alone."""
     first, _, last = text.partition("..")
     try:
-        ends = [dt.date.fromisoformat(one) for one in (first, last or first)]
+        ends = [dt.date.fromisoformat(day) for day in (first, last or first)]
     except ValueError as error:
         said = f"{error}: write nights as 2026-01-02 or 2026-01-02..2026-01-08"
         raise UsageError("period", said) from error
@@ -174,8 +174,8 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
     logs = MotorLogs(spec, {}, latest_us(), {})
     labels = sorted(logs.present() & set(nights))
     if not labels:
-        told = f"{min(nights)} to {max(nights)}"
-        raise UsageError("unknown_night", f"no log of {spec.motor_id} covers {told}")
+        span = f"{min(nights)} to {max(nights)}"
+        raise UsageError("unknown_night", f"no log of {spec.motor_id} covers {span}")
     if len({spec.file.oil_on(label) for label in labels}) > 1:
         said = f"{spec.motor_id} has another oil in some of these nights: choose less"
         raise UsageError("oil_changed", said)
@@ -190,7 +190,7 @@ def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
     for name in names:
         if logs.files[name].status != "ok":
             return pl.DataFrame(), [], f"night of {label}: log: {logs.files[name].message}"
-    channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
+    channels = slice_night([log for log in read if log is not None], here, reaches_us(spec))
     logs.let_go_until(label)
     return _cleaned(spec.file, spec.settings, label, channels)
 
@@ -206,9 +206,9 @@ def _cleaned(
     except Insufficient as outcome:
         return pl.DataFrame(), [], f"night of {label}: {outcome.reason}"
     rows = [
-        (label, one.channel, one.reason, one.n_samples, one.n_refused)
-        for one in (*quality, *outside)
-        if one.n_refused
+        (label, rule.channel, rule.reason, rule.n_samples, rule.n_refused)
+        for rule in (*quality, *outside)
+        if rule.n_refused
     ]
     return _frame(settings, samples), rows, ""
 

@@ -261,9 +261,9 @@ def _tolerance(row: Row) -> str:
 
 
 def explain_residuals(fit: Row, tests: list[Row]) -> Iterator[str]:
-    """Lines on the errors before smoothing, of training and of validation."""
+    """Return lines on the errors of training and of validation."""
     for part in ("training", "validation"):
-        rows = [row for row in tests if row["part"] == part and not row["is_smoothed"]]
+        rows = [row for row in tests if row["part"] == part]
         if rows:
             yield f"{part} errors: {_size(fit, part)}"
             yield f"{part} errors: {_tests(rows)}"

@@ -101,29 +101,29 @@ class ObjectStore:
                 return None
             return bytes(got.bytes())
 
-    def fetch(self, one: StoredObject, stream: BinaryIO) -> None:
+    def fetch(self, stored: StoredObject, stream: BinaryIO) -> None:
         """Write an object's content to a stream.
 
         Raises ObjectChangedError if it has changed since it was listed, or is gone.
         """
         from obstore.exceptions import PreconditionError
 
-        with self._store_errors(one.key, "read"):
+        with self._store_errors(stored.key, "read"):
             try:
-                got = self._client.get(one.key, options={"if_match": one.tag})
+                got = self._client.get(stored.key, options={"if_match": stored.tag})
                 stream.writelines(got.stream(min_chunk_size=PART))
             except (PreconditionError, FileNotFoundError) as error:
                 if _is_absent_bucket(error):
                     raise
-                raise ObjectChangedError(one.key) from error
+                raise ObjectChangedError(stored.key) from error
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
         """Objects in a folder and below."""
         with self._store_errors(prefix, "listed"):
             for page in self._client.list(prefix or None):
-                for one in page:
+                for entry in page:
                     yield StoredObject(
-                        one["path"], one["size"], one["e_tag"] or "", one["last_modified"]
+                        entry["path"], entry["size"], entry["e_tag"] or "", entry["last_modified"]
                     )
 
     def remove(self, keys: Collection[str]) -> None:

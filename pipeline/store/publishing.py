@@ -120,11 +120,11 @@ def read_staged(
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Rows of motors for a table file, and the motors and nights of which they are all rows."""
     # As one chunk: Polars takes chunks over one by one.
-    rows = pl.from_arrow(pa.concat_tables(one.rows() for one in staged.values()).combine_chunks())
+    rows = pl.from_arrow(pa.concat_tables(part.rows() for part in staged.values()).combine_chunks())
     assert isinstance(rows, pl.DataFrame)
     pa.default_memory_pool().release_unused()  # the motors' own copies
     rows = rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
-    done = [(motor_id, night) for motor_id, one in staged.items() for night in one.nights]
+    done = [(motor_id, night) for motor_id, part in staged.items() for night in part.nights]
     key = {name: table.schema[name] for name in ("motor_id", "night")}
     return rows, pl.DataFrame(done, schema=key, orient="row")
 
@@ -163,7 +163,7 @@ class Publisher:
         months = sorted({label[:7] for _, label in staged})
         self._vacate(staged)
         for month in months:
-            keys = [one for one in staged if one[1][:7] == month]
+            keys = [key for key in staged if key[1][:7] == month]
             works = [partial(self._with_staged, *key, staged[key]) for key in keys]
             self._publish(works, published if month == months[-1] else lambda: None)
         if not months:
@@ -207,8 +207,8 @@ class Publisher:
             (table, label): read_staged(table, files, "")[0].select(table.key)
             for (table, label), files in moving.items()
         }
-        for table, label in sorted(keys, key=lambda one: one[1]):
-            others = pl.concat(some for one, some in keys.items() if one != (table, label))
+        for table, label in sorted(keys, key=lambda key: key[1]):
+            others = pl.concat(some for key, some in keys.items() if key != (table, label))
             change = partial(_with_rows, table, frame(table, []), replaced=others)
             self._publish([partial(self._changed, table, label, change)])
 
@@ -242,15 +242,15 @@ class Publisher:
                 if file.prepared is not None:
                     undone.callback(file.prepared.drop)
                 named[name_of(self.state.output, file.path)] = file
-            new = {name: one.prepared for name, one in named.items() if one.prepared is not None}
+            new = {name: its.prepared for name, its in named.items() if its.prepared is not None}
             announce(self.state, {name: named[name].sha256 for name in new})
-            for one in new.values():
-                one.land(flush=False)
-            for folder in sorted({one.path.parent for one in new.values()}):
+            for prepared in new.values():
+                prepared.land(flush=False)
+            for folder in sorted({prepared.path.parent for prepared in new.values()}):
                 with store_errors(folder):
                     flush_path(folder)
             with self.state.transaction():
-                note(self.state, {name: one.sha256 for name, one in named.items()})
+                note(self.state, {name: its.sha256 for name, its in named.items()})
                 published()
             undone.pop_all()
 

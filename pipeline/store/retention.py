@@ -63,7 +63,7 @@ def old_files(
         if newest_night is None or table.name not in kept:
             continue
         first_kept = newest_night - dt.timedelta(days=kept[table.name] - 1)
-        old = [one for one in files_of(output, table) if days_of(one.stem)[-1] < first_kept]
+        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_kept]
         if old:
             first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
             names = tuple(name_of(output, path) for path in old)
@@ -78,7 +78,7 @@ def prune(state: State, old: Sequence[OldFiles]) -> None:
     Raises StoreError if the state cannot be written or a file not be removed; pruning again does
     the rest.
     """
-    names = [name for one in old for name in one.names]
+    names = [name for months in old for name in months.names]
     announce(state, dict.fromkeys(names))
     for name in names:
         path = state.output / "tables" / name

@@ -192,7 +192,7 @@ def as_parquet(rows: pl.DataFrame) -> bytes:
         stream,
         schema,
         compression=COMPRESSION,
-        use_dictionary=[one.name for one in schema if pa.types.is_large_string(one.type)],
+        use_dictionary=[field.name for field in schema if pa.types.is_large_string(field.type)],
         write_page_checksum=True,
         store_schema=False,
     ) as file:

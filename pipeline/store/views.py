@@ -57,7 +57,7 @@ def _type(kind: object) -> str:
         return f"{_type(kind.inner)}[]"
     if isinstance(kind, pl.Struct):
         return f"STRUCT({', '.join(f'{field.name} {_type(field.dtype)}' for field in kind.fields)})"
-    return next(text for one, text in TYPES.items() if kind == one)
+    return next(text for known, text in TYPES.items() if kind == known)
 
 
 def _comments(tables: Iterable[Table]) -> Iterator[str]:

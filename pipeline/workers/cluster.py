@@ -80,7 +80,7 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
             ) from error
         found = client.run(differences, expected, folders, on_error="return")
         threads = client.nthreads().items()
-        found |= {one: f"it has {n} threads" for one, n in threads if n != 1}
+        found |= {worker: f"it has {n} threads" for worker, n in threads if n != 1}
         try:
             found["the scheduler"] = client.run_on_scheduler(differences, expected)
         except Exception as error:  # it has not even the program

@@ -198,7 +198,7 @@ class Pool:
 
     def _loss(self, error: str) -> tuple[set[int], Loss]:
         """Numbers of the tasks that a dead pool had begun; their loss, by a mark and last words."""
-        marks = {one.number: one for _, one in self._marks() if one.number >= 0}
+        marks = {mark.number: mark for _, mark in self._marks() if mark.number >= 0}
         mark = next(iter(marks.values()), Mark())
         words = "".join(path.read_text("utf-8", "replace") for path in self.folder.glob("*.words"))
         sys.stderr.write(words)

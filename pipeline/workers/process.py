@@ -74,8 +74,8 @@ def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
     """
     global _file
     # What a terminal sends to all processes is for the run, which decides what ends.
-    for one in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(one, signal.SIG_IGN)
+    for signal_number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signal_number, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != run_pid:  # it has died already

@@ -24,8 +24,6 @@ from leakage.estimation.validation import (
     agreement,
     criteria,
     effective_sample_count,
-    lag_one_autocorrelation,
-    summed_effective_sample_count,
 )
 from tests.leakage.estimation.made_errors import autoregression
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
@@ -191,33 +189,6 @@ def test_criteria_that_are_undefined_are_none(cost: float, d: int, n: float) -> 
     assert criteria(cost, d, n) == Criteria(None, None, None, None)
 
 
-@given(seed=SEEDS, sizes=st.lists(st.integers(1, 30), min_size=2, max_size=10))
-def test_gaps_pool_the_pairs_of_their_stretches(seed: int, sizes: list[int]) -> None:
-    residual = np.random.default_rng(seed).standard_normal(sum(sizes))
-    stretches = np.split(residual - residual.mean(), np.cumsum(sizes)[:-1])
-    products = np.concatenate([stretch[1:] * stretch[:-1] for stretch in stretches])
-    found = lag_one_autocorrelation(residual, np.cumsum([0, *sizes[:-1]]))
-    if len(products):
-        assert found == pytest.approx(products.mean() / residual.var(), rel=1e-9, abs=1e-12)
-    else:
-        assert found is None
-
-
-@pytest.mark.parametrize("value", [0.0, 0.1, -0.0123, 1e3])
-def test_equal_residuals_have_no_correlation(value: float) -> None:
-    # Their mean is off by rounding, which is the same for all and would correlate perfectly.
-    assert lag_one_autocorrelation(np.full(1001, value), np.array([0])) is None
-
-
-@pytest.mark.parametrize(
-    ("phi", "expected"),
-    # At most N, at least a sample or so; None where nothing is known of φ.
-    [(0.0, 1000.0), (-0.5, 1000.0), (0.5, 1000 / 3), (1.0, 1000 / 1999), (None, None)],
-)
-def test_effective_count(phi: float | None, expected: float | None) -> None:
-    assert effective_sample_count(1000, phi) == pytest.approx(expected)
-
-
 def test_the_summed_count_is_that_of_the_variance_of_a_mean_under_white_noise_too() -> None:
     # An autoregression with as much white noise: lag one alone would count five times too many.
     means, counts = [], []
@@ -229,11 +200,11 @@ def test_the_summed_count_is_that_of_the_variance_of_a_mean_under_white_noise_to
         rho = np.array([centred[k:] @ centred[: 2000 - k] for k in range(200)]) / (
             centred @ centred
         )
-        counts.append(summed_effective_sample_count(2000, rho))
+        counts.append(effective_sample_count(2000, rho))
     assert None not in counts
     assert 2.0 / np.var(means) == pytest.approx(np.mean(counts), rel=0.2)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("rho", [[], [1.0], [1.0, 0.9, 0.8, 0.7], [1.0, 0.5, 0.0]])
 def test_correlations_that_do_not_end_have_no_summed_count(rho: list[float]) -> None:
-    assert summed_effective_sample_count(1000, np.array(rho)) is None
+    assert effective_sample_count(1000, np.array(rho)) is None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,18 +56,18 @@ def motor(folder: Path, more: str = "") -> MotorSpec:
     return load_motor(folder, motor_toml("M1", more=more))
 
 
-def rows_of(outcome: NightOutcome, table: str, part: str, test: str, smoothed: bool) -> list[Row]:
-    """Rows of a test, whiteness or independence of an input."""
-    return [
+def row_of(outcome: NightOutcome, part: str, test: str) -> Row:
+    """Row of a test, whiteness or independence of an input."""
+    (row,) = [
         row
-        for row in outcome.rows[table]
-        if (row["part"], row["is_smoothed"]) == (part, smoothed)
-        and test in (row["input"], row["test"])
+        for row in outcome.rows["residual_tests"]
+        if row["part"] == part and test in (row["input"], row["test"])
     ]
+    return row
 
 
-def lags(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> dict[int, Row]:
-    (row,) = rows_of(outcome, "residual_tests", part, test, smoothed)
+def lags(outcome: NightOutcome, part: str, test: str) -> dict[int, Row]:
+    row = row_of(outcome, part, test)
     names = ("lags_s", "correlations", "bounds")
     every = zip(*(row[name] for name in names), strict=True)
     # One sample a second.
@@ -83,39 +82,21 @@ class ByHand(NamedTuple):
     validation: slice
 
 
-def unchanged(values: Array) -> Array:
-    return values
-
-
-def by_hand(
-    spec: MotorSpec,
-    flow: Array,
-    outcome: NightOutcome,
-    *,
-    inputs: Callable[[Array], Array] = unchanged,
-    output: Callable[[Array], Array] = unchanged,
-) -> ByHand:
-    """Errors of least squares on the training samples, smoothed as said; none may be missing."""
+def by_hand(spec: MotorSpec, flow: Array, outcome: NightOutcome) -> ByHand:
+    """Errors of least squares on the training samples; none may be missing."""
     row = fit_of(outcome.rows)
     assert row["n_training"] + row["n_validation"] == N - 120  # a block of guard between them
     training = slice(0, row["n_training"])
     columns = regressors(spec.motor(NIGHT, "none"), AT)
     free, known = columns[:, :-2], columns[:, -1]  # without flushing C_f is 0
     scale = np.linalg.norm(free, axis=0)
-    smooth = np.column_stack([inputs(column) for column in free.T]) / scale
-    target = output(flow) - inputs(known)
-    theta = np.linalg.lstsq(smooth[training], target[training])[0] / scale
+    theta = np.linalg.lstsq((free / scale)[training], (flow - known)[training])[0] / scale
     return ByHand(flow - known - free @ theta, training, slice(N - row["n_validation"], N))
 
 
 @pytest.fixture
 def spec(tmp_path: Path) -> MotorSpec:
     return motor(tmp_path)
-
-
-def whiteness(outcome: NightOutcome, part: str) -> Row:
-    (found,) = rows_of(outcome, "residual_tests", part, "whiteness", smoothed=False)
-    return found
 
 
 def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec) -> None:
@@ -140,7 +121,7 @@ def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec) -> None:
             # At a positive lag the input is the past one.
             expected = np.corrcoef(error, values[rows])[0, 1]
             assert found[0]["value"] == pytest.approx(expected, abs=1e-9), name
-        assert whiteness(outcome, part)["n"] == n
+        assert row_of(outcome, part, "whiteness")["n"] == n
 
 
 def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
@@ -148,8 +129,8 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
     spec = motor(tmp_path, more + "[override.smoothing]\nwindow_s = 5.0\n")
     outcome = fitted(spec, LONG, configured_flow(spec, LONG) + white(N))
     tests = outcome.rows["residual_tests"]
-    # Two modes, two parts, smoothed or not.
-    assert len(tests) == 2 * 2 * 2 * (1 + 3)
+    # Two modes, two parts.
+    assert len(tests) == 2 * 2 * (1 + 3)
     for row in tests:
         is_white = row["test"] == "whiteness"
         assert len(row["lags_s"]) == len(row["correlations"]) == (26 if is_white else 51)
@@ -163,30 +144,6 @@ def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
         assert row["reason"] is None
 
 
-def test_inputs_are_smoothed_as_the_regressors_are(tmp_path: Path) -> None:
-    spec = motor(tmp_path, "[override.smoothing]\nwindow_s = 61.0\n")
-    flow = configured_flow(spec, LONG) + white(N)
-    outcome = fitted(spec, LONG, flow)
-
-    def averaged(values: Array) -> Array:
-        """Centred over 61 samples, within each block of 120 from the whole hour on."""
-        window = np.ones(61)
-        sums = np.array([np.convolve(one, window, "same") for one in values.reshape(-1, 120)])
-        return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
-
-    hand = by_hand(spec, flow, outcome, inputs=averaged, output=averaged)
-    pressure = LONG.pressure_bar
-    error, u = averaged(hand.error), averaged(pressure)
-    smooth, plain = (
-        np.corrcoef(one[hand.training], other[hand.training])[0, 1]
-        for one, other in ((error, u), (hand.error, pressure))
-    )
-    for smoothed, expected in ((True, smooth), (False, plain)):
-        found = lags(outcome, "training", "pressure_difference", smoothed)
-        assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
-    assert abs(plain - smooth) > 1e-4
-
-
 def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     begin = dt.datetime(2026, 3, 1, 22, tzinfo=dt.UTC)
     whole = {"training": ((begin, begin + dt.timedelta(hours=2)),)}
@@ -197,7 +154,7 @@ def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
     for column in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min"):
         assert row[f"validation_{column}"] is None
     assert row["n_validation_effective"] is None
-    found = whiteness(outcome, "validation")
+    found = row_of(outcome, "validation", "whiteness")
     assert found["n"] == 0
     assert found["reason"] == "0 samples, 1000 are needed"
     told = list(explain_residuals(row, outcome.rows["residual_tests"]))

@@ -61,7 +61,7 @@ def as_frame(time_us: NDArray[np.int64], values: dict[str, Array]) -> pl.DataFra
 def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object]:
     """Figures of a fit to a frame that are not those of the night's rows."""
     (fit,) = rows["fits"]
-    figures: dict[str, object] = {"correlation_time_s": found.memory_s}
+    figures: dict[str, object] = {}
     for part, judged in (("training", found.training), ("validation", found.validation)):
         figures[f"n_{part}"] = judged.n
         figures[f"{part}_fit_percent"] = judged.fit_percent

@@ -39,7 +39,7 @@ KEYS = {
     "fits": FIT_KEY,
     "parameters": (*FIT_KEY, "parameter"),
     "error_budget": (*FIT_KEY, "indicator", "source"),
-    "residual_tests": (*FIT_KEY, "part", "is_smoothed", "test", "input"),
+    "residual_tests": (*FIT_KEY, "part", "test", "input"),
     "predictions": (*FIT_KEY, "time"),
     "quality": ("motor_id", "night", "channel", "reason"),
     "blocks": ("motor_id", "night", "block_start"),
