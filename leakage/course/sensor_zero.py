@@ -34,7 +34,7 @@ class ZeroCourse:
 
 
 def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
-    """Drift of a sensor's zero since its first halts, halt by halt.
+    """Return drift of a sensor's zero since its first halts, halt by halt.
 
     From the means of the first and of the last halts, up to thirty each and without overlap, by
     Welch's t; the scatter between halts counts, and is at least that of the errors. The result
@@ -67,7 +67,7 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
     )
 
     def of_halts(first: Places, end: Places) -> tuple[Array, Array]:
-        """Mean of some halts, and its variance."""
+        """Return mean of some halts, and its variance."""
         mean = (value[end] - value[first]) / size
         squares = square[end] - square[first] - size * mean**2
         scatter = np.maximum(squares / (size - 1), (square_error[end] - square_error[first]) / size)

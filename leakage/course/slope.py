@@ -26,14 +26,14 @@ LEAST_PAIRS = 10
 
 
 def correlation_to_previous(phi: float, nights: Nights) -> Array:
-    """φ^Δt of each night to the one before, shape (n,); 0 for the first."""
+    """Return φ^Δt of each night to the one before, shape (n,); 0 for the first."""
     rho = np.zeros(len(nights))
     rho[1:] = phi ** np.diff(nights)
     return rho
 
 
 def whitened(columns: Array, rho: Array) -> Array:
-    r"""Prais and Winsten's transform [1]_: columns whose errors no longer remember.
+    r"""Return prais and Winsten's transform [1]_: columns whose errors no longer remember.
 
     .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
 
@@ -54,7 +54,7 @@ def whitened(columns: Array, rho: Array) -> Array:
 
 
 def estimated_phi(residuals: Array, nights: Nights) -> float:
-    r"""Correlation of neighbouring nights, from the residuals of a straight line.
+    r"""Return correlation of neighbouring nights, from the residuals of a straight line.
 
     The correlation of nights that follow each other at the commonest distance d is corrected for
     what a fitted line takes away of it [1]_, and brought to one night:
@@ -84,7 +84,7 @@ def estimated_phi(residuals: Array, nights: Nights) -> float:
 
 
 def variance_of_mean(phi: float, nights: Nights) -> float:
-    """Variance of the plain mean of nights, shape (n,), in units of the variance of one."""
+    """Return variance of the plain mean of nights, shape (n,), in units of the variance of one."""
     if phi <= 0.0:
         return 1.0 / len(nights)
     return float(np.mean(phi ** np.abs(nights[:, None] - nights)))
@@ -119,7 +119,7 @@ class Slope:
 def fit_slope(
     nights: Nights, values: Array, position: Array | None = None, coverage: float = 0.95
 ) -> Slope:
-    """Slope of an indicator over time or running hours, with an interval that holds.
+    """Return slope of an indicator over time or running hours, with an interval that holds.
 
     Simulated coverage of 95 % intervals: 92 to 96 % for 60 nights or more and φ up to 0.6; 86 % for
     20 nights and φ = 0.6, which is why those are provisional.
@@ -186,6 +186,6 @@ class CourseFits:
         return cls(length, float(means[0]), means[1:], slopes, spans, centred)
 
     def residuals(self, course: int) -> Array:
-        """Residuals of one of the courses, shape (n,)."""
+        """Return residuals of one of the courses, shape (n,)."""
         left: Array = self.centred[:, 0] - self.slopes[course] * self.centred[:, 1 + course]
         return left

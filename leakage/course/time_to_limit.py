@@ -94,7 +94,7 @@ class TimeToLimit:
 def time_to_limit(
     nights: Nights, position: Array, values: Array, limit: float, horizon: float
 ) -> TimeToLimit:
-    """Time until an indicator reaches a limit, if it goes on in a way that fits what it did.
+    """Return time until an indicator reaches a limit, if it goes on in a way that fits what it did.
 
     ``finite`` only where the set ends within the horizon and as far ahead as the nights reach
     back, and the wear does not come in jumps. ``benchmarks/results/dates.md`` says how often the
@@ -147,7 +147,7 @@ def _quantile(ahead: Array, crossed: Array, share: float) -> float:
 
 
 def _shapes(u: Array) -> Array:
-    """Each shape at each position, shape (s, m): 0 at 0, and 1 at 1."""
+    """Return each shape at each position, shape (s, m): 0 at 0, and 1 at 1."""
     kappas = KAPPAS[:, None]
     exponential = np.expm1(np.minimum(kappas * u, LARGEST_EXPONENT)) / np.expm1(kappas)
     return np.concatenate([exponential, u ** POWERS[:, None]])
@@ -164,14 +164,14 @@ _PRIOR = _prior()
 
 
 def _squares(found: CourseFits) -> Array:
-    """Sum of the squared residuals of each shape."""
+    """Return sum of the squared residuals of each shape."""
     values = found.centred[:, 0]
     left: Array = float(values @ values) - found.slopes**2 * found.spans
     return np.maximum(left, len(values) * ROUNDING**2)
 
 
 def _crossed_by_shape(nights: Nights, u: Array, y: Array, at: Array) -> tuple[Array, float]:
-    """Probability that a course has reached 1 at some positions, and that it rises."""
+    """Return probability that a course has reached 1 at some positions, and that it rises."""
     freedom = len(u) - PARAMETERS
     columns = np.column_stack([np.ones(len(u)), y, _shapes(u).T])
     plain = CourseFits.of(columns)
@@ -230,7 +230,7 @@ def _crossed_by_jumps(u: Array, y: Array, ahead: Array) -> tuple[Array, float]:
 
 
 def _variance_of_noise(gaps: Array, several: int) -> float:
-    """Variance of a mean of several nights by noise alone, an autoregression."""
+    """Return variance of a mean of several nights by noise alone, an autoregression."""
     first, second = (
         float(np.median((step - np.median(step)) ** 2)) * MAD_TO_SD**2
         for step in (np.diff(gaps), gaps[2:] - gaps[:-2])

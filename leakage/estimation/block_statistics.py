@@ -27,7 +27,7 @@ from leakage.errors import StatisticsError
 
 
 def factor(z: Array) -> Array:
-    """Triangular factor of a block of samples, shape (c, c), its diagonal not negative.
+    """Return triangular factor of a block of samples, shape (c, c), its diagonal not negative.
 
     `z` has the columns of n samples, shape (n, c): paths, one, known, measured. n may be 0.
 
@@ -65,7 +65,7 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
 
 
 def merge(factors_in_time_order: Array) -> Array:
-    """Factor of the union of blocks, from theirs of shape (b, c, c).
+    """Return factor of the union of blocks, from theirs of shape (b, c, c).
 
     Their order changes rounding only; keep it, so that runs agree to the bit.
 
@@ -80,7 +80,7 @@ def merge(factors_in_time_order: Array) -> Array:
 
 
 def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
-    """Factors with the known flow as a path of its own, whose coefficient can be estimated.
+    """Return factors with the known flow as a path of its own, whose coefficient can be estimated.
 
     `factors`: Shape (b, c, c); those that are returned, in which nothing is known, (b, c + 1, c +
     1).
@@ -100,12 +100,12 @@ def _require_finite(what: str, values: Array) -> None:
 
 
 def _triangular(stacked: Array) -> Array:
-    """R of each matrix of a stack."""
+    """Return r of each matrix of a stack."""
     return _positive(np.asarray(np.linalg.qr(stacked, mode="r")))
 
 
 def _positive(decomposed: Array) -> Array:
-    """Upper triangles, with the signs that QR leaves open made positive."""
+    """Return upper triangles, with the signs that QR leaves open made positive."""
     signs = np.where(np.diagonal(decomposed, axis1=1, axis2=2) < 0, -1.0, 1.0)
     # Adding 0 turns -0 into 0: the same statistics have the same bytes.
     result: Array = np.triu(decomposed) * signs[:, :, None] + 0.0
@@ -119,12 +119,12 @@ def criterion(r: Array, coefficients: Array) -> float:
 
 
 def squared_error(r: Array, coefficients: Array) -> float:
-    """Sum of squared prediction errors ‖y − ŷ‖² [(l/min)²] from a factor."""
+    """Return sum of squared prediction errors ‖y − ŷ‖² [(l/min)²] from a factor."""
     residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
     return float(residual @ residual)
 
 
 def sample_count(r: Array) -> int:
-    """Number of samples behind a factor: the squared norm of the column of ones."""
+    """Return number of samples behind a factor: the squared norm of the column of ones."""
     ones = r[:, -3]
     return round(float(ones @ ones))

@@ -111,7 +111,7 @@ def identify(
 def judge_by_total(
     fit: Fit, identification: Identification, total: Mapping[int, float | None]
 ) -> Identification:
-    """The verdicts on coefficients with what sensors and the model can do to them.
+    """Return the verdicts on coefficients with what sensors and the model can do to them.
 
     `total` has whole half-widths by place in θ. A coefficient that is identified by its samples is
     ``uncertain`` where its is more than half of the configured value or not less than the estimate.
@@ -138,7 +138,7 @@ def _judge(
     distribution: ClusterRobust | None,
     excitation: Excitation,
 ) -> Judgement:
-    """Verdict on one coefficient: excitation first, then bounds, then its interval."""
+    """Return verdict on one coefficient: excitation first, then bounds, then its interval."""
     proven_minimum = fit.proven_minimum
     if path is None or proven_minimum.fixed[place]:
         return Judgement("fixed", "held at its configured value", None)
@@ -158,7 +158,7 @@ def _judge(
 
 
 def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
-    """Reason why a coefficient is another one's as well; empty if it is its own.
+    """Return reason why a coefficient is another one's as well; empty if it is its own.
 
     What a bound takes from one coefficient goes into the others. By less than a standard error
     that is noise, which a bound mends; by more, the samples ask for what no gap can do.
@@ -181,7 +181,7 @@ def _unseen(
     interval: Interval | None,
     excitation: Excitation,
 ) -> Judgement | None:
-    """Reason why a coefficient is not identified; None if it is."""
+    """Return reason why a coefficient is not identified; None if it is."""
     size = _size(path, float(fit.coefficients[place]))
     among = int(everything.active[:place].sum())
     root_vif = float(np.sqrt(everything.variance_inflation()[among]))
@@ -202,7 +202,7 @@ def _unseen(
 
 
 def _too_little(interval: Interval, least_freedom: float = LEAST_FREEDOM) -> Judgement | None:
-    """Reason why a combination's interval is not credible; None if it is."""
+    """Return reason why a combination's interval is not credible; None if it is."""
     if interval.largest_block_share > LARGEST_BLOCK_SHARE:
         return Judgement("not_excited", ONE_STRETCH, None)
     freedom = interval.degrees_of_freedom
@@ -216,7 +216,7 @@ def _too_little(interval: Interval, least_freedom: float = LEAST_FREEDOM) -> Jud
 
 
 def _size(path: LeakagePath, estimate: float) -> float:
-    """Reference size for a half-width: the configured coefficient.
+    """Return reference size for a half-width: the configured coefficient.
 
     Dividing by the newest night's own estimate would favour nights whose estimate happens to be
     high. A flushing may be configured as 0; then the estimate is used.
@@ -225,7 +225,7 @@ def _size(path: LeakagePath, estimate: float) -> float:
 
 
 def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -> str:
-    """Operation that would make the path identifiable."""
+    """Return operation that would make the path identifiable."""
     low, high = excitation.pressure_bar
     visible = path.visible_below_pa / 1e5
     if low > visible:
@@ -242,7 +242,7 @@ def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -
 
 
 def _partner(place: int, fit: Fit, everything: ClusterRobust) -> str:
-    """The coefficient that the samples tell apart from this one least."""
+    """Return the coefficient that the samples tell apart from this one least."""
     places = np.flatnonzero(everything.active)
     among = int(np.flatnonzero(places == place)[0])
     strength = np.abs(everything.correlation()[among])
@@ -324,7 +324,7 @@ def _of_leakage(
 
 
 def is_outside(excitation: Excitation, conditions: OperatingConditions) -> bool:
-    """True if a condition lies outside the ranges of the samples."""
+    """Return True if a condition lies outside the ranges of the samples."""
     return bool(_beyond(excitation, conditions)[1])
 
 

@@ -67,7 +67,7 @@ def misfit(
     means: Array,
     scales: bool | None = None,
 ) -> Misfit | None:
-    """Structured misfit of a fit; None where blocks are too few for a covariance, or without
+    """Return structured misfit of a fit; None where blocks are too few for a covariance, or without
     leakage.
 
     `factors, number`: Factors of its stored blocks in time order, not whitened, shape (b, c, c),
@@ -122,7 +122,7 @@ def _extended(rows: Array, theta: Array, about: Array) -> Array:
 
 
 def _least_squares(whole: Array, free: Mask, held: Array) -> Array:
-    """Coefficients of the free columns by least squares; the others as held."""
+    """Return coefficients of the free columns by least squares; the others as held."""
     target = whole @ np.concatenate([-held, (-1.0, 1.0)])
     columns = whole[:, :-2][:, free]
     scale = np.linalg.norm(columns, axis=0)
@@ -133,7 +133,7 @@ def _least_squares(whole: Array, free: Mask, held: Array) -> Array:
 
 
 def _beside(whole: Array, places: NDArray[np.int64], needed: Mask) -> Array:
-    """Columns less what the needed ones say of them."""
+    """Return columns less what the needed ones say of them."""
     columns, others = whole[:, places], whole[:, :-2][:, needed]
     scale = np.linalg.norm(others, axis=0)
     others = others[:, scale > 0.0] / scale[scale > 0.0]
@@ -146,7 +146,7 @@ def _beside(whole: Array, places: NDArray[np.int64], needed: Mask) -> Array:
 
 
 def model_errors(whole: Array, fixed: Mask, contrasts: Array, misfit_l_per_min: float) -> Array:
-    """R(c): what a misfit τ [l/min] can do to contrasts of coefficients, shape (m,).
+    """Return R(c): what a misfit τ [l/min] can do to contrasts of coefficients, shape (m,).
 
     Contrasts have shape (m, c − 2); `whole` is the merged factor of the fit's blocks, not whitened.
     """

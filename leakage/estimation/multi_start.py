@@ -62,13 +62,13 @@ class Search:
 
 
 def free_parameters(motor: Motor) -> tuple[Parameter, ...]:
-    """The parameters that are estimated, in the order of the columns."""
+    """Return the parameters that are estimated, in the order of the columns."""
     paths = (path for path in motor.coefficient_paths if path)
     return tuple(parameter for path in paths for parameter in path.parameters if parameter.is_free)
 
 
 def coefficients_at(motor: Motor, free: Array) -> Array:
-    """θ, shape (…, p + 1), at free parameters of shape (…, k)."""
+    """Return θ, shape (…, p + 1), at free parameters of shape (…, k)."""
     theta = np.zeros((*free.shape[:-1], len(motor.coefficient_paths)))
     taken = 0
     for row, path in enumerate(motor.coefficient_paths):

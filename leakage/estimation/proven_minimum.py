@@ -77,7 +77,7 @@ class ProvenMinimum:
 
 
 def certify(r: Array, lower: Array, upper: Array) -> ProvenMinimum:
-    """Global minimum of the criterion over a box of coefficients; equal bounds fix one.
+    """Return global minimum of the criterion over a box of coefficients; equal bounds fix one.
 
     Where the minimum is a set (dependent columns), its element of least norm in scaled columns if
     that lies in the box, else the one that the bounded solver ends at: both deterministic.
@@ -147,7 +147,7 @@ def _rank(singular_values: Array) -> int:
 def _bounded_minimum(
     matrix: Array, target: Array, lower: Array, upper: Array, unbounded: Array
 ) -> Array:
-    """Minimum over the box: the unbounded one where it fits, else found by active sets [1]_.
+    """Return minimum over the box: the unbounded one where it fits, else found by active sets [1]_.
 
     SciPy's bounded solver stops on a small change of cost, so a coefficient whose box is tiny can
     end it far above the minimum. This one stops on nothing but the proof.

@@ -74,7 +74,7 @@ def split_into_blocks(
     settings: Windows,
     chosen_periods: ChosenPeriods = NONE_CHOSEN,
 ) -> tuple[Block, ...]:
-    """Short blocks of the kept samples, counted from the night's start, with their parts."""
+    """Return short blocks of the kept samples, counted from the night's start, with their parts."""
     length = round(settings.block_s * SECOND_US)
     if not len(time_us):
         return ()
@@ -121,7 +121,7 @@ def _parts_as_chosen(
 
 
 def within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:
-    """Samples that lie in one of some stretches, shape (n,)."""
+    """Return samples that lie in one of some stretches, shape (n,)."""
     mask = np.zeros(len(time_us), dtype=np.bool_)
     for begin, end in stretches:
         mask |= (time_us >= begin) & (time_us < end)
@@ -166,5 +166,5 @@ def places_on_clock(begins_us: Times, ends_us: Times) -> tuple[NDArray[np.int64]
 
 
 def numbers_of(blocks: Sequence[Block]) -> NDArray[np.int64]:
-    """Number of each sample's block, shape (n,)."""
+    """Return number of each sample's block, shape (n,)."""
     return np.repeat(np.arange(len(blocks)), [block.n for block in blocks])

@@ -83,7 +83,7 @@ class Source:
 
 
 def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
-    """All sources of a motor of which a tolerance is stated."""
+    """Yield all sources of a motor of which a tolerance is stated."""
     yield from _channel_sources(tolerances)
     for path in motor.paths:
         for stated in path.tolerances():
@@ -125,7 +125,7 @@ def _channel_sources(tolerances: Tolerances) -> Iterator[Source]:
 
 
 def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
-    """A channel of the conditions, or without a name the flow, read too high."""
+    """Return a channel of the conditions, or without a name the flow, read too high."""
 
     def disturbed(window: Window) -> Window:
         if not field:
@@ -143,7 +143,7 @@ def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
 
 
 def _with(changed: Motor) -> Disturbance:
-    """A constant of the motor is another one."""
+    """Return a constant of the motor is another one."""
     return lambda window: window._replace(motor=changed)
 
 
@@ -163,17 +163,17 @@ class ErrorBudget:
     effects: tuple[Effect, ...]
 
     def of_sensors(self) -> ErrorBudget:
-        """The effects of sensors alone."""
+        """Return the effects of sensors alone."""
         return ErrorBudget(
             tuple(effect for effect in self.effects if effect.source.name.startswith(SENSORS))
         )
 
     def coefficients(self) -> Array | None:
-        """Systematic ± of θ, shape (p + 1,); None where nothing is stated."""
+        """Return systematic ± of θ, shape (p + 1,); None where nothing is stated."""
         return _by_squares([effect.coefficients for effect in self.effects])
 
     def leakages_l_per_min(self) -> Array | None:
-        """Systematic ± of the leakages, shape (m,); None where nothing is stated."""
+        """Return systematic ± of the leakages, shape (m,); None where nothing is stated."""
         return _by_squares([effect.leakages_l_per_min for effect in self.effects])
 
 
@@ -226,7 +226,7 @@ def error_budget(
 
 
 def _coefficients(motor: Motor, samples: Array) -> Array:
-    """θ of samples as read and as disturbed by each source, shape (1 + s, p + 1).
+    """Return θ of samples as read and as disturbed by each source, shape (1 + s, p + 1).
 
     Disturbed ones are fitted without bounds, what the first fit has on a bound held there: cut at a
     bound, the effect on one coefficient would be moved to the others.
@@ -253,7 +253,7 @@ def effects_elsewhere(
     before: OperatingConditions,
     after: OperatingConditions,
 ) -> dict[str, float]:
-    """Effects on the leakage at one stated condition from those at another, without samples.
+    """Return effects on the leakage at one stated condition from those at another, without samples.
 
     A constant acts on what the thinned sample's own fit says; that is taken as the nearest to θ,
     shape (p + 1,), which explains the known effects: by source, on θ and on the leakage at `before`

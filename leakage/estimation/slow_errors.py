@@ -110,11 +110,11 @@ class Means(NamedTuple):
         return cls(n, float(np.median(n)), means, number)
 
     def of(self, design: Array) -> Means:
-        """The same of combinations of the columns, shape (c, d)."""
+        """Return the same of combinations of the columns, shape (c, d)."""
         return self._replace(values=self.values @ design)
 
     def grams(self) -> Array:
-        """What they say of the columns, shape (b, c, c)."""
+        """Return what they say of the columns, shape (b, c, c)."""
         found: Array = (self.n[:, None] * self.values)[:, :, None] * self.values[:, None]
         return found
 
@@ -172,7 +172,7 @@ def slow_errors(
 
 
 def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, float, float]:
-    """ρ and λ of the grid by their restricted likelihood, and −2 Δ log REML of none.
+    """Return ρ and λ of the grid by their restricted likelihood, and −2 Δ log REML of none.
 
     `free` has the design of the whole, `means` that of the blocks, and `variance` is σ²κ.
     """
@@ -193,7 +193,7 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
 
 
 def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
-    """Factors of samples whose slow errors are whitened; as they are where there are none.
+    """Return factors of samples whose slow errors are whitened; as they are where there are none.
 
     Shape (b, c, c), not triangular: each block's rest, with the whitened means in place of its own;
     scaled so that the column of ones keeps its norm, and with it the number of samples.
@@ -211,7 +211,7 @@ def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
 
 
 def with_level(factors: Array, number: Places, errors: SlowErrors) -> Array:
-    """Factor of all blocks, whitened but for the level; arguments as for :func:`whitened`.
+    """Return factor of all blocks, whitened but for the level; arguments as for :func:`whitened`.
 
     Off its bounds, an estimate keeps the level under errors that scale. On them it does not: the
     slopes ask for what no gap can do. So the mean of all blocks keeps its weight, and what each
@@ -248,7 +248,7 @@ def _design(whole: Array, fixed: Mask, values: Array) -> Array | None:
 
 
 def _within_errors(gram: Array, means: Means, n_samples: int) -> tuple[float, float]:
-    """Variance of the errors about the means, and κ: meat over bread of their scores.
+    """Return variance of the errors about the means, and κ: meat over bread of their scores.
 
     `gram` has what each block says of the design about its mean, shape (b, rank + 1, rank + 1).
     """
@@ -274,7 +274,7 @@ def _within_errors(gram: Array, means: Means, n_samples: int) -> tuple[float, fl
 
 
 def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array, Array]:
-    """Part of the means' weighted Gram that slow errors explain, and log |V| + log |W|.
+    """Return part of the means' weighted Gram that slow errors explain, and log |V| + log |W|.
 
     With W the weights of the means, V their covariance and Q the tridiagonal inverse of that of
     the slow errors, V⁻¹ = W − W (W + Q)⁻¹ W and |V| |W| = |W + Q| / |Q|. Each turn eliminates every
@@ -305,7 +305,7 @@ def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array
 
 
 def _whitened_means(means: Means, errors: SlowErrors) -> Array:
-    """Means whitened by a Kalman filter, shape (b, c)."""
+    """Return means whitened by a Kalman filter, shape (b, c)."""
     size = errors.variance_ratio / means.usual_n
     steps = np.diff(means.number, prepend=means.number[:1]).tolist()
     rows = np.empty_like(means.values)

@@ -89,7 +89,7 @@ def transport_lag(
 def _explained(
     flow: Array, drivers: Array, place: Places, index: Places, chosen: Places, lag: int
 ) -> float:
-    """R² of the flow on the drivers so many places before; 0 where samples are too few."""
+    """Return R² of the flow on the drivers so many places before; 0 where samples are too few."""
     at = index[chosen] - index[0] - lag
     inside = (at >= 0) & (at < len(place))
     partner = np.where(inside, place[np.where(inside, at, 0)], -1)

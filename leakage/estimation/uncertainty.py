@@ -95,7 +95,7 @@ class ClusterRobust:
         return Interval(quantile * standard_error, standard_error, freedom, share)
 
     def covariance_root(self) -> Array:
-        """Upper triangular U of the active coefficients, U'U their covariance; shape (k, k).
+        """Return upper triangular U of the active coefficients, U'U their covariance; shape (k, k).
 
         Where columns look alike, rounding leaves nothing in the covariance of what is well known:
         |U c| keeps the standard error of every combination c.
@@ -107,13 +107,13 @@ class ClusterRobust:
         return root
 
     def covariance(self) -> Array:
-        """Covariance of the active coefficients, shape (k, k), in their units."""
+        """Return covariance of the active coefficients, shape (k, k), in their units."""
         spread = self._to_basis.T @ (self._scores.T @ self._scores) @ self._to_basis
         covariance: Array = spread / np.outer(self._scale, self._scale)
         return covariance
 
     def variance_inflation(self) -> Array:
-        """VIF of the active coefficients, shape (k,): how far collinearity widens each.
+        """Return VIF of the active coefficients, shape (k,): how far collinearity widens each.
 
         Infinite for a coefficient that no combination in the basis tells apart.
         """
@@ -130,7 +130,7 @@ class ClusterRobust:
         return result
 
     def _weights(self, contrast: Array) -> Array | None:
-        """B^(1/2) c in the basis."""
+        """Return B^(1/2) c in the basis."""
         scaled = contrast[self.active] / self._scale
         inside = self._basis @ scaled
         lost = float(scaled @ scaled - inside @ inside)
@@ -140,7 +140,7 @@ class ClusterRobust:
         return weights
 
     def _degrees_of_freedom(self, weights: Array, seen: Array) -> float:
-        """Bell and McCaffrey's, under independent errors of equal variance; at least 1."""
+        """Return Bell and McCaffrey's, under independent errors of equal variance; at least 1."""
         reach = self._inverse_root @ weights
         adjusted = np.einsum("bij,bj->bi", self._inverse_root, seen)
         omega = np.diag(np.einsum("bi,bi->b", adjusted, reach)) - adjusted @ adjusted.T

@@ -171,7 +171,7 @@ def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:
 
 
 def _columns(motor: Motor, samples: FrameSamples) -> Array:
-    """Columns of the samples as ``motor.columns``, shape (n, c)."""
+    """Return columns of the samples as ``motor.columns``, shape (n, c)."""
     # Column by column in memory as in the nightly run: other sums differ in their last bits.
     z = np.empty((len(samples.time_us), len(motor.columns)), order="F")
     regressors(motor, samples.conditions, out=z[:, :-1])
@@ -180,7 +180,7 @@ def _columns(motor: Motor, samples: FrameSamples) -> Array:
 
 
 def _sample_blocks(samples: FrameSamples, made: CompressedSamples, used: Mask) -> SampleBlocks:
-    """The blocks behind the estimates."""
+    """Return the blocks behind the estimates."""
     blocks = [block for block, is_used in zip(made.blocks, used, strict=True) if is_used]
     borders_us = np.array([(block.start_us, block.end_us) for block in blocks]).T
     channels = (samples.oil_temperature_c, samples.pressure_bar, samples.speed_rpm)

@@ -30,7 +30,7 @@ STYLE: dict[str, Any] = {"template": "plotly_white", "height": 400, "margin": {"
 
 
 def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array) -> Figure:
-    """Measured and predicted flow over time, with the parts."""
+    """Return measured and predicted flow over time, with the parts."""
     step = -(-len(samples.time_us) // MOST_POINTS)
     few = slice(None, None, step)
     time: NDArray[Any] = samples.time_us[few] / SECOND_US
@@ -53,7 +53,7 @@ def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array) -> Fi
 
 
 def _shaded(time: NDArray[Any], parts: NDArray[np.str_]) -> Iterator[dict[str, Any]]:
-    """A shape for each run of samples of training and of validation."""
+    """Yield a shape for each run of samples of training and of validation."""
     begins = np.flatnonzero(np.append([True], parts[1:] != parts[:-1]))
     ends = [*(begins[1:] - 1).tolist(), len(parts) - 1]
     named = set()
@@ -90,7 +90,7 @@ def plot_residuals(tests: ResidualAnalysis, period_s: float) -> Figure:
 
 
 def plot_leakage(fit: Fit, at: OperatingConditions, half_widths: Callable[..., Array]) -> Figure:
-    """Leakage by path over pressure, with the band of the sum: samples, model, sensors."""
+    """Return leakage by path over pressure, with the band of the sum: samples, model, sensors."""
     bar = at.pressure_difference_pa / PASCALS_PER_BAR
     flows = path_flows_l_per_min(fit.motor, at, fit.coefficients_by_path)
     leaking = [path.name for path in fit.motor.paths if not isinstance(path, Constant)]

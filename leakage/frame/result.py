@@ -82,7 +82,7 @@ class FrameFit:
         return {path.coefficient_name: found[at] for at, path in self.paths.items()}
 
     def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
-        """Intervals from the samples by name; None for a coefficient that has none."""
+        """Return intervals from the samples by name; None for a coefficient that has none."""
         return {path.coefficient_name: self._interval(at, level) for at, path in self.paths.items()}
 
     def _interval(self, at: int, level: float) -> tuple[float, float] | None:
@@ -105,7 +105,7 @@ class FrameFit:
         return _on_rows(self._predicted(samples), samples, frame)
 
     def residuals(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
-        """Measured less predicted drain flow of a frame's rows [l/min]; nan: incomplete."""
+        """Return measured less predicted drain flow of a frame's rows [l/min]; nan: incomplete."""
         samples = self.samples if frame is None else read_samples(frame, columns)
         return _on_rows(samples.measured_l_per_min - self._predicted(samples), samples, frame)
 
@@ -121,7 +121,7 @@ class FrameFit:
         speed_rpm: float,
         charge_over_case_bar: float | None = None,
     ) -> LeakageJudgement:
-        """Leakage at one condition, flushing excluded, with verdict and interval.
+        """Return leakage at one condition, flushing excluded, with verdict and interval.
 
         The interval is from the samples; the verdict counts model and sensors, too.
         """
@@ -153,7 +153,7 @@ class FrameFit:
         return total
 
     def judged(self) -> FrameFit:
-        """The fit with what the model and the sensors can do to its coefficients."""
+        """Return the fit with what the model and the sensors can do to its coefficients."""
         free = np.flatnonzero(~self.estimate.fit.proven_minimum.fixed).tolist()
         beside = np.zeros_like(self.beside_samples)
         beside[free] = self._model_errors(np.eye(len(beside))[free], COEFFICIENT_FACTOR)
@@ -169,7 +169,7 @@ class FrameFit:
         return replace(self, identification=identification, beside_samples=beside)
 
     def _model_errors(self, contrasts: Array, factor: float) -> Array:
-        """± of some contrasts of θ by the structured misfit."""
+        """Return ± of some contrasts of θ by the structured misfit."""
         estimate = self.estimate
         if estimate.misfit is None:
             return np.zeros(len(contrasts))
@@ -226,7 +226,7 @@ class FrameFit:
         return str(self.summary())
 
     def columns(self) -> dict[str, list[Any]]:
-        """Estimates as columns, one row a coefficient."""
+        """Return estimates as columns, one row a coefficient."""
         paths, intervals = self.paths.values(), self.conf_int().values()
         judged = self.judgements.values()
         totals = [
@@ -249,11 +249,11 @@ class FrameFit:
         }
 
     def to_polars(self) -> pl.DataFrame:
-        """The estimates as a frame of Polars."""
+        """Return the estimates as a frame of Polars."""
         return nw.from_dict(self.columns(), backend="polars").to_polars()
 
     def plot(self) -> Figure:
-        """Measured and predicted flow over time, with the parts."""
+        """Return measured and predicted flow over time, with the parts."""
         from leakage.frame import plots
 
         return plots.plot(self.samples, self.parts, self.predict())

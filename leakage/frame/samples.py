@@ -91,7 +91,7 @@ class FrameSamples:
         return index
 
     def only(self, chosen: Mask) -> FrameSamples:
-        """The chosen ones of these samples."""
+        """Return the chosen ones of these samples."""
         kept = self.kept.copy()
         kept[kept] = chosen
         flow, charge = self.flow_l_per_min, self.charge_over_case_bar
@@ -107,7 +107,7 @@ class FrameSamples:
         )
 
     def stretches(self, periods: Period | Sequence[Period] | None) -> tuple[Stretch, ...]:
-        """Periods as a user writes them, in the times of these samples."""
+        """Return periods as a user writes them, in the times of these samples."""
         if periods is None:
             return ()
         pair = len(periods) == 2 and not isinstance(periods[0], tuple | list)
@@ -138,7 +138,7 @@ class FrameSamples:
 def read_samples(
     frame: Any, columns: Mapping[str, str] | None = None, *, with_flow: bool = True
 ) -> FrameSamples:
-    """The complete samples of a frame; its columns and errors are those of `fit_frame`."""
+    """Return the complete samples of a frame; its columns and errors are those of `fit_frame`."""
     table = FrameTable(frame, columns or {})
     time_us, on_clock = table.times()
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
@@ -213,7 +213,7 @@ class FrameTable:
         return values
 
     def times(self) -> tuple[NDArray[np.int64], bool]:
-        """Microseconds, and whether they are dates."""
+        """Return microseconds, and whether they are dates."""
         column = self._column(TIME) if self.has(TIME) or self._index is None else self._index
         if isinstance(column.dtype, nw.String):
             try:
@@ -230,7 +230,7 @@ class FrameTable:
 
 
 def _opened(frame: Any) -> nw.DataFrame[Any]:
-    """A frame of any kind, or arrays by name, as one of narwhals."""
+    """Return a frame of any kind, or arrays by name, as one of narwhals."""
     try:
         if isinstance(frame, Mapping):
             return nw.from_dict(frame, backend="polars")

@@ -42,7 +42,7 @@ class Summary:
 
 
 def title(motor_type: str, used: FrameSamples, seen: Excitation) -> str:
-    """Motor, number and times of the samples behind the estimates, and what they span."""
+    """Return motor, number and times of the samples behind the estimates, and what they span."""
     ends = {"bar": seen.pressure_bar, "°C": seen.temperature_c, "rpm": seen.speed_rpm}
     spans = ", ".join(f"{low:.0f} to {high:.0f} {unit}" for unit, (low, high) in ends.items())
     first, last = used.time_us[[0, -1]].tolist()
@@ -60,7 +60,7 @@ def warnings(
     agreements: Mapping[str, Agreement],
     misfit: Misfit | None,
 ) -> Iterator[str]:
-    """What to know before a figure is used: rows are those of `FrameFit.columns`."""
+    """Yield what to know before a figure is used: rows are those of `FrameFit.columns`."""
     if n_left_out:
         yield f"{n_left_out} rows lack a value and are left out"
     for row in rows:
@@ -76,7 +76,7 @@ def warnings(
 
 
 def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """The cells of a coefficient."""
+    """Return the cells of a coefficient."""
     has_interval = row["lower"] is not None
     return (
         row["parameter"],
@@ -89,7 +89,7 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def fits(part: str, judged: Agreement) -> str:
-    """How the fit to the training samples agrees with a part."""
+    """Return how the fit to the training samples agrees with a part."""
     fit = "-" if judged.fit_percent is None else f"{judged.fit_percent:.1f} %"
     return (
         f"{part}: fit {fit}, rmse {judged.rmse_l_per_min:.3g} l/min, mean "
@@ -98,7 +98,7 @@ def fits(part: str, judged: Agreement) -> str:
 
 
 def errors(part: str, found: ResidualAnalysis) -> str:
-    """What is left of a part after the fit."""
+    """Return what is left of a part after the fit."""
     if found.whiteness.verdict == "not_tested":
         return f"errors of {part}: not tested, {found.whiteness.reason}"
     white = "not autocorrelated" if found.whiteness.verdict == "passed" else "autocorrelated"
@@ -114,7 +114,7 @@ def errors(part: str, found: ResidualAnalysis) -> str:
 
 
 def model(misfit: Misfit | None) -> str:
-    """Whether the model describes the samples."""
+    """Return whether the model describes the samples."""
     if misfit is None:
         return "model: too few blocks to judge it"
     if not misfit.is_clear and misfit.noise_share > LARGEST_MISFIT:

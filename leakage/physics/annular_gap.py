@@ -28,7 +28,7 @@ from leakage.physics.law import (
 def film_thickness_ratio(
     gap_m: ArrayLike, eccentricity: ArrayLike, roughness_1_m: float, roughness_2_m: float
 ) -> Array:
-    r"""Film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
+    r"""Return film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
 
     .. math:: \Lambda = \frac{h (1 - e)}{\sqrt{R_{a1}^2 + R_{a2}^2}}
 
@@ -146,7 +146,7 @@ class AnnularGap(Law):
         return math.inf if deformation is None else VISIBLE_BELOW * deformation
 
     def coefficient(self, values: Values) -> Array:
-        r"""Lumped loss factor of all interfaces of the path.
+        r"""Return lumped loss factor of all interfaces of the path.
 
         .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
 
@@ -158,7 +158,7 @@ class AnnularGap(Law):
         return self._concentric_m3_per_um3 * volume
 
     def regressor(self, side: Side) -> Array:
-        r"""Flow per unit of K.
+        r"""Return flow per unit of K.
 
         .. math:: \varphi = 60\,000\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
 
@@ -193,7 +193,7 @@ class AnnularGap(Law):
         return gap_um
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
-        """The path with a larger deformation constant, where a tolerance is stated."""
+        """Return the path with a larger deformation constant, where a tolerance is stated."""
         share, pressure = self.deformation_tolerance, self.deformation_pressure_pa
         if not share or pressure is None:
             return ()
@@ -206,7 +206,7 @@ class AnnularGap(Law):
         limits: tuple[float, float] | None,
         roughness_m: tuple[float, float],
     ) -> tuple[DerivedFigure, ...]:
-        """Gap height, eccentricity where there is one, and film thickness ratio."""
+        """Return gap height, eccentricity where there is one, and film thickness ratio."""
         gaps_um, eccentricities = self._feasible(coefficient)
         ratios = film_thickness_ratio(
             np.array(gaps_um) * MICROMETRE, np.array(eccentricities)[::-1], *roughness_m
@@ -265,7 +265,7 @@ class AnnularGap(Law):
         return self.count * math.pi * self.radius_m * height_m_per_um**3 / (6.0 * self.length_m)
 
     def _widening(self, values: Array) -> Array | float:
-        """1 + 1.5 e², or 1 where the path has no eccentricity."""
+        """Return 1 + 1.5 e², or 1 where the path has no eccentricity."""
         if self.eccentricity is None:
             return 1.0
         eccentricity: Array = values[..., 1]

@@ -88,7 +88,7 @@ class OperatingConditions:
         return self.speed_rpm.size
 
     def part(self, rows: slice | NDArray[np.int64]) -> OperatingConditions:
-        """Conditions of some of the samples; of a slice as views."""
+        """Return conditions of some of the samples; of a slice as views."""
         charge = self.charge_over_case_pa
         return OperatingConditions(
             self.pressure_difference_pa[rows],
@@ -98,7 +98,7 @@ class OperatingConditions:
         )
 
     def sides(self) -> tuple[OperatingConditions, ...]:
-        """The pressures that drive leakage to the case, each as conditions of its own.
+        """Return the pressures that drive leakage to the case, each as conditions of its own.
 
         The conditions themselves where one side leaks; with a charge pressure the high side, at
         |ΔP| + (p_charge − p_case), and the low side, at p_charge − p_case.

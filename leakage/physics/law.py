@@ -132,7 +132,7 @@ class Law(ABC):
         return f"K_{self.name}"
 
     def coefficient(self, values: Values) -> Array:
-        """Lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
+        """Return lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
         `values` are those of `parameters` in their order and units, along the last axis; of one
         parameter alone, the coefficient is its value.
@@ -145,7 +145,7 @@ class Law(ABC):
         """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array."""
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
-        """The path with each constant off whose tolerance is stated; none by default."""
+        """Return the path with each constant off whose tolerance is stated; none by default."""
         return ()
 
     def derived_figures(
@@ -171,7 +171,7 @@ class Law(ABC):
         return float(self.coefficient([parameter.value for parameter in self.parameters]))
 
     def coefficient_bounds(self) -> tuple[float, float]:
-        """Smallest and largest coefficient over the parameters' box, [coefficient_unit].
+        """Return smallest and largest coefficient over the parameters' box, [coefficient_unit].
 
         A fixed parameter shrinks the box. The corners suffice, for a coefficient grows with each
         parameter.

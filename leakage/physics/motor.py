@@ -83,7 +83,7 @@ class Motor:
         return (*self.column_paths, self.constant)
 
     def coefficient_bounds(self) -> tuple[Array, Array]:
-        """Bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
+        """Return bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
         paths = self.coefficient_paths
         limits = [path.coefficient_bounds() if path else (0.0, 0.0) for path in paths]
         lower, upper = zip(*limits, strict=True)
@@ -106,7 +106,7 @@ class Motor:
         return None
 
     def with_free_standard(self) -> Motor:
-        """The motor with the scale of its standard free within its bounds."""
+        """Return the motor with the scale of its standard free within its bounds."""
         return replace(
             self,
             paths=tuple(
@@ -127,7 +127,7 @@ class Motor:
 
 
 def regressors(motor: Motor, conditions: OperatingConditions, out: Array | None = None) -> Array:
-    r"""Columns in which the motor's flow is linear: y = known + Σ K φ + C_f + ε.
+    r"""Return columns in which the motor's flow is linear: y = known + Σ K φ + C_f + ε.
 
     .. math:: z(t) = (\varphi_1, \dots, \varphi_p, 1, \textstyle\sum_{known} K \varphi)
 
@@ -169,7 +169,7 @@ def path_flows_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
-    """Flow of each path, Q = K φ, by its name in declared order, shape (n,) each, [l/min].
+    """Return flow of each path, Q = K φ, by its name in declared order, shape (n,) each, [l/min].
 
     All interfaces of a path together; the constant among them.
 
@@ -214,7 +214,7 @@ def leakage_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> Array:
-    """Leakage of the motor, flushing excluded, shape (n,), [l/min]; (4) of the thesis.
+    """Return leakage of the motor, flushing excluded, shape (n,), [l/min]; (4) of the thesis.
 
     Arguments and errors as of :func:`path_flows_l_per_min`.
     """
@@ -225,7 +225,7 @@ def leakage_l_per_min(
 
 
 def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[Side]]]:
-    """Rows of one chunk of samples after the other, with what regressors take, side by side.
+    """Yield rows of one chunk of samples after the other, with what regressors take, side by side.
 
     Sides are those from which paths leak to the case.
     """
@@ -240,7 +240,7 @@ def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[sli
 
 
 def _regressor(path: LeakagePath, sides: list[Side]) -> Array:
-    """Regressor of a path, summed over the sides; a constant flow has none of them."""
+    """Return regressor of a path, summed over the sides; a constant flow has none of them."""
     first, *others = (path.regressor(side) for side in sides)
     if isinstance(path, Constant):
         return first

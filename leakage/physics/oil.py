@@ -121,7 +121,7 @@ THESIS_FILM_PRESSURE = FilmPressure()
 
 
 def density_kg_per_m3(temperature_c: ArrayLike, oil: Oil) -> Array:
-    r"""Density of the oil, shape of the temperature, [kg/m³].
+    r"""Return density of the oil, shape of the temperature, [kg/m³].
 
     .. math:: \rho(T) = \frac{\rho_{15}}{1 + \beta (T - 15)}
 

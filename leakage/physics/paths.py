@@ -77,7 +77,7 @@ class Laminar(Law):
         return (self.loss_factor,)
 
     def coefficient(self, values: Values) -> Array:
-        """Lumped loss factor n·C_d, [m³]."""
+        """Return lumped loss factor n·C_d, [m³]."""
         return self.count * super(Laminar, self).coefficient(values)
 
     def regressor(self, side: Side) -> Array:
@@ -122,7 +122,7 @@ class Constant(Law):
         return self.flow.name
 
     def regressor(self, side: Side) -> Array:
-        """Ones, shape (n,), [-]."""
+        """Return ones, shape (n,), [-]."""
         return np.ones_like(side.drive_per_s)
 
 
@@ -207,7 +207,7 @@ class SpeedCurve(Law):
         return self.scale.name
 
     def curve_l_per_min(self, speed_rpm: Array) -> Array:
-        """Leakage f(|ω|) of one interface at ΔP₀ and η₀, shape (n,), [l/min].
+        """Return leakage f(|ω|) of one interface at ΔP₀ and η₀, shape (n,), [l/min].
 
         Beyond the range of the points the value at its end.
         """
@@ -219,7 +219,7 @@ class SpeedCurve(Law):
         return flow
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
-        """The path with a higher curve, where a tolerance is stated."""
+        """Return the path with a higher curve, where a tolerance is stated."""
         share = self.curve_tolerance
         if not share:
             return ()
@@ -227,7 +227,7 @@ class SpeedCurve(Law):
         return (PathTolerance("curve", share, replace(self, coefficients=raised)),)
 
     def regressor(self, side: Side) -> Array:
-        r"""Flow per unit of the scale, [l/min]; the pressure is in the drive.
+        r"""Return flow per unit of the scale, [l/min]; the pressure is in the drive.
 
         .. math:: \varphi = n f(|\omega|)\,\frac{\eta_0}{\Delta P_0}\,\frac{|\Delta P|}{\eta}
         """

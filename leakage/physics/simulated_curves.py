@@ -19,7 +19,7 @@ _STEPS_OVER_RANGE = 1000
 
 
 def fit_deformation_pressure(points: ArrayLike) -> float:
-    r"""Deformation constant X [Pa] of a gap from points (ΔP, h, Q) of a simulation.
+    r"""Return deformation constant X [Pa] of a gap from points (ΔP, h, Q) of a simulation.
 
     .. math:: Q = a\,h^3\,\Delta P\,e^{-3 \Delta P / X}
 
@@ -67,7 +67,7 @@ def fit_deformation_pressure(points: ArrayLike) -> float:
 
 
 def fit_speed_curve(points: ArrayLike) -> tuple[float, ...]:
-    r"""Quintic over speed of a simulated curve, by least squares; (32) of the thesis.
+    r"""Return quintic over speed of a simulated curve, by least squares; (32) of the thesis.
 
     .. math:: f(\omega) = a \omega^5 + b \omega^4 + c \omega^3 + d \omega^2 + e \omega + f
 

@@ -24,7 +24,7 @@ def walther_coefficients(
     temperature_2_c: float,
     viscosity_2_mm2_per_s: float,
 ) -> tuple[float, float]:
-    r"""Walther constants A and B from two kinematic viscosities [mm²/s], (2) of the thesis.
+    r"""Return Walther constants A and B from two kinematic viscosities [mm²/s], (2) of the thesis.
 
     .. math:: B = \frac{\log_{10}\log_{10} Z_1 - \log_{10}\log_{10} Z_2}
         {\log_{10}(T_2 + 273.15) - \log_{10}(T_1 + 273.15)}, \quad
@@ -106,7 +106,7 @@ def kinematic_viscosity_mm2_per_s(
 
 
 def _walther_z(viscosity_mm2_per_s: float) -> float:
-    """Z of a kinematic viscosity, D341's full form below 2 mm²/s."""
+    """Return z of a kinematic viscosity, D341's full form below 2 mm²/s."""
     if not FULL_WALTHER_MINIMUM_MM2_PER_S <= viscosity_mm2_per_s < math.inf:
         raise ValidityError(
             "oil_viscosity_range",

@@ -36,7 +36,7 @@ def absolute_folder(given: Path | None) -> Path | None:
 
 
 def day(text: str) -> dt.date:
-    """A day, or the label of a night."""
+    """Return a day, or the label of a night."""
     try:
         return dt.date.fromisoformat(text)
     except ValueError:
@@ -44,7 +44,7 @@ def day(text: str) -> dt.date:
 
 
 def nights(text: str) -> tuple[dt.date, dt.date]:
-    """First and last of some nights: YYYY-MM-DD, or YYYY-MM-DD..YYYY-MM-DD."""
+    """Return first and last of some nights: YYYY-MM-DD, or YYYY-MM-DD..YYYY-MM-DD."""
     first, _, last = text.partition("..")
     span = day(first), day(last or first)
     if span[0] > span[1]:
@@ -53,14 +53,14 @@ def nights(text: str) -> tuple[dt.date, dt.date]:
 
 
 def past_day(text: str) -> dt.date:
-    """A day that has come, in whatever zone."""
+    """Return a day that has come, in whatever zone."""
     if day(text) > now().date() + dt.timedelta(days=1):
         raise typer.BadParameter(f"got {text}, which has not come")
     return day(text)
 
 
 def duration(text: str) -> dt.timedelta:
-    """A time span such as 30s, 10min, 26h or 2d."""
+    """Return a time span such as 30s, 10min, 26h or 2d."""
     found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
     if found is None or not float(found[1]):
         raise typer.BadParameter(f"got {text!r}; expected such as 30s, 10min, 26h or 2d")
@@ -86,7 +86,7 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same
 
 
 def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
-    """The fleet of a config, with the options of the command line.
+    """Return the fleet of a config, with the options of the command line.
 
     A run into another output folder is private: it is copied nowhere.
     """

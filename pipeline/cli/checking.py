@@ -93,7 +93,7 @@ def check(
 
 
 def _fleet_faults(fleet: Fleet, checks: Iterable[MotorCheck]) -> Iterator[UsageError]:
-    """What is wrong with the fleet as a whole."""
+    """Yield what is wrong with the fleet as a whole."""
     if not any(check.n_files for check in checks):
         where = f"no log of any motor is below {fleet.log_place}"
         yield UsageError("no_logs", f"{where}; correct folders.logs, or logs.files")
@@ -142,7 +142,7 @@ def _print_check(motor: MotorCheck) -> None:
 
 
 def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
-    """Cells of `CHANNEL_COLUMNS`."""
+    """Return cells of `CHANNEL_COLUMNS`."""
     from pipeline.units import canonical_unit
 
     unit = canonical_unit(channel.channel).replace("degC", "°C")

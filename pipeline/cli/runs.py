@@ -364,7 +364,7 @@ def print_summary(request: RunRequest, result: RunResult, *, as_json: bool) -> N
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:
-    """Seconds by stage: those of the motors' tasks added up, then those of the run."""
+    """Return seconds by stage: those of the motors' tasks added up, then those of the run."""
     from pipeline.run.publishing import MOTOR_STAGES
 
     spent = Counter[str]()

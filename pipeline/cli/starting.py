@@ -176,7 +176,7 @@ def _answer(text: str) -> tuple[str, str]:
 
 
 def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question]:
-    """Questions that no log answers."""
+    """Yield questions that no log answers."""
     from pipeline.setup.tables import Question
 
     for key, folder in (("motor_type", "motor_types"), ("oil", "oils")):
@@ -212,13 +212,13 @@ def _print(proposal: Proposal, observed: Mapping[str, Observed]) -> None:
 
 
 def _quality(keys: Mapping[str, Any]) -> str:
-    """A channel's quality, and its good codes where they are not the usual ones."""
+    """Return a channel's quality, and its good codes where they are not the usual ones."""
     codes = ", ".join(map(str, keys.get("quality_good", ())))
     return str(keys.get("quality_source", "")) + (f" ({codes})" if codes else "")
 
 
 def _logs_of(motor: ProposedMotor, seen: Observed | None) -> str:
-    """Files and days of a motor, the column of the time, and the order of its date."""
+    """Return files and days of a motor, the column of the time, and the order of its date."""
     time = [motor.logs.get(key, "") for key in ("date_column", "time", "time_format")]
     words = [counted(len(motor.files), "file")]
     if seen and seen.spans:

@@ -114,7 +114,7 @@ def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
 
 
 def _fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
-    """Lines below the motors: last run, deliveries, damage, intraday check."""
+    """Yield lines below the motors: last run, deliveries, damage, intraday check."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
     if (newest := found.newest_sample) is not None:
@@ -139,7 +139,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Itera
 
 
 def _run_line(found: FleetStatus) -> str | None:
-    """Line on a run that is under way, or that did not end."""
+    """Return line on a run that is under way, or that did not end."""
     from pipeline.store.heartbeat import FINISHED, RUNNING
 
     beat = found.beat
@@ -278,7 +278,7 @@ def ack(
 def _failed_night(
     fleet: Fleet, motor: str, night: dt.date | None, note: str, *, is_fit: bool
 ) -> Decision:
-    """Decision on a failed night; raises UsageError (``night``) if it is none."""
+    """Return decision on a failed night; raises UsageError (``night``) if it is none."""
     from pipeline.report.status import failed_nights
     from pipeline.trends.nights.decisions import Decision
 
@@ -292,7 +292,7 @@ def _failed_night(
 
 
 def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
-    """Last night of a motor that was removed; None for one of the config."""
+    """Return last night of a motor that was removed; None for one of the config."""
     from pipeline.trends.rows.motor_states import REMOVED, published_states
 
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
@@ -302,7 +302,7 @@ def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
 
 
 def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
-    """Parts of a motor by name or in words; raises UsageError (``finding_part``)."""
+    """Return parts of a motor by name or in words; raises UsageError (``finding_part``)."""
     known = {path.name for path in spec.motor_type.path}
     parts = {name: name.strip().lower().removeprefix("the ").replace(" ", "_") for name in names}
     for name, part in parts.items():

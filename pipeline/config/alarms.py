@@ -62,7 +62,7 @@ Secret = Annotated[str, AfterValidator(_variable)]
 
 
 def is_mail_address(address: str) -> bool:
-    """True if mail can go to an address."""
+    """Return True if mail can go to an address."""
     from email.errors import MessageError
     from email.headerregistry import Address
 
@@ -107,7 +107,7 @@ class Email(Section):
     """Address of the report, for links."""
 
     def summary_due(self, today: dt.date) -> dt.date | None:
-        """Date on which the latest weekly summary is due; None without any."""
+        """Return date on which the latest weekly summary is due; None without any."""
         if not self.to or not self.weekly:
             return None
         return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)

@@ -16,7 +16,7 @@ _WHOLE = re.compile(rf"{_STEP.pattern}(?:\.{_STEP.pattern})*", re.DOTALL)
 
 
 def field_path(field: str, topic: str = "") -> FieldPath:
-    r"""Keys and positions that lead to a field.
+    r"""Return keys and positions that lead to a field.
 
     They are written as keys with dots between them and positions, counted from 0, in brackets; a
     dot, bracket or backslash within a key has a backslash before it. A leading slash is dropped,
@@ -51,7 +51,7 @@ FieldText = Annotated[str, AfterValidator(_field_text)]
 
 
 def path_text(path: FieldPath) -> str:
-    """A path as it is written in a config."""
+    """Return a path as it is written in a config."""
     written = [
         f"[{step}]" if isinstance(step, int) else "." + re.sub(r"([\\.\[\]])", r"\\\1", step)
         for step in path

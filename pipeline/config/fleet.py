@@ -41,7 +41,7 @@ class MotorSpec:
     drain_delay_s: float | None = None
 
     def decided(self, drain_delay_s: float | None, *, roller_is_free: bool) -> MotorSpec:
-        """The motor as stated, in the form that its own nights decide on."""
+        """Return the motor as stated, in the form that its own nights decide on."""
         stated = self.settings.transport_delay
         if not stated.is_estimated:
             drain_delay_s = None
@@ -64,26 +64,26 @@ class MotorSpec:
         return self.file.motor_id
 
     def oil_on(self, night: dt.date) -> OilFile:
-        """The oil of a night."""
+        """Return the oil of a night."""
         return self.oils[self.file.oil_on(night)]
 
     def samples_of(self, night: dt.date) -> tuple[OilSample, ...]:
-        """Analyses of the filling of a night, later ones too."""
+        """Return analyses of the filling of a night, later ones too."""
         filled = self.file.filled_on(night)
         samples = self.file.oil_samples or self.circuit_samples
         return tuple(sample for sample in samples if self.file.filled_on(sample.date) == filled)
 
     def measured_curve(self, night: dt.date) -> Walther | None:
-        """Walther constants of a night's oil by its analyses; None: by the data sheet."""
+        """Return Walther constants of a night's oil by its analyses; None: by the data sheet."""
         filled = self.file.filled_on(night)
         return measured_curve(self.samples_of(night), self.oil_on(night), filled, night)
 
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
-        """The motor on a night and under one mode of flushing, with the data sheet's oil."""
+        """Return the motor on a night and under one mode of flushing, with the data sheet's oil."""
         return self.motor_with(self.oil_on(night), flushing_mode)
 
     def motor_with(self, oil: OilFile, flushing_mode: str) -> Motor:
-        """The motor with an oil and under one mode of flushing."""
+        """Return the motor with an oil and under one mode of flushing."""
         from leakage import FilmPressure, Motor
 
         model = self.settings.model
@@ -113,7 +113,7 @@ class Fleet:
     is_live: bool = True  # whether this machine's clock says how old the newest night is
 
     def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
-        """The ids that are asked for.
+        """Return the ids that are asked for.
 
         Raises UsageError (``unknown_motor``) if the fleet has no motor of one.
         """
@@ -125,7 +125,7 @@ class Fleet:
         return ids
 
     def motor(self, motor_id: str) -> MotorSpec:
-        """The motor of an id; raises as `known_motors`."""
+        """Return the motor of an id; raises as `known_motors`."""
         self.known_motors([motor_id])
         return next(spec for spec in self.motors if spec.motor_id == motor_id)
 
@@ -141,12 +141,12 @@ class Fleet:
         return self.log_url or str(self.log_root)
 
     def at_output(self, output: Path) -> Fleet:
-        """The fleet with another output folder, which is copied nowhere."""
+        """Return the fleet with another output folder, which is copied nowhere."""
         return replace(self, output=output, copy_to="")
 
 
 def overlap(fleet: Fleet) -> str | None:
-    """The folder that was expected, where output and logs lie so that one spoils the other.
+    """Return the folder that was expected, where output and logs lie so that one spoils the other.
 
     A run would read its own tables as logs, or write into the logs, or remove them.
     """
@@ -169,7 +169,7 @@ def overlap(fleet: Fleet) -> str | None:
 
 
 def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
-    """A path or glob of files may match one below a folder, both below the log root."""
+    """Return a path or glob of files may match one below a folder, both below the log root."""
     parts = PurePosixPath(pattern).parts[:-1]
     for part, name in zip(parts, folder, strict=False):
         if part == "**":
@@ -180,7 +180,7 @@ def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
 
 
 def absolute(folder: Path) -> Path:
-    """The absolute path of a folder, which need not be there.
+    """Return the absolute path of a folder, which need not be there.
 
     Raises ValueError if no folder can be there: its name is too long, say, or holds a null.
     """

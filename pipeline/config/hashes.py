@@ -40,19 +40,19 @@ SETTINGS_NAMED = 4
 
 
 def hash_of(document: Mapping[str, Any]) -> str:
-    """Short hash of a JSON document, the same on every machine."""
+    """Return short hash of a JSON document, the same on every machine."""
     text = json.dumps(document, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @cache
 def own_version() -> str:
-    """Version of motor-leakage."""
+    """Return version of motor-leakage."""
     return version("motor-leakage")
 
 
 def shaping(spec: MotorSpec, stage: Stage) -> dict[str, Any]:
-    """All settings of a motor that a stage needs, of whichever file and date."""
+    """Return all settings of a motor that a stage needs, of whichever file and date."""
     reader = reader_version(reader_entry(spec.file.logs.format))
     return {
         **spec.settings.shaping(stage),
@@ -68,7 +68,7 @@ def shaping(spec: MotorSpec, stage: Stage) -> dict[str, Any]:
 
 
 def config_hash(spec: MotorSpec) -> str:
-    """Hash of all that shapes a motor's figures; not of how the work is spread, or where."""
+    """Return hash of all that shapes a motor's figures; not of how the work is spread, or where."""
     return hash_of({"versions": (READING_VERSION, FIGURES_VERSION), **shaping(spec, ALL)})
 
 
@@ -100,7 +100,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
 
 
 def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
-    """Periods of a night that are chosen by hand."""
+    """Return periods of a night that are chosen by hand."""
     return spec.file.periods.within(night_labelled(night, spec.settings.nights))
 
 
@@ -123,7 +123,7 @@ class SettingsHashes:
         return self._statistics[key]
 
     def figures(self, night: dt.date) -> str:
-        """Hash of all that shapes the figures that are made from a night's statistics."""
+        """Return hash of all that shapes the figures that are made from a night's statistics."""
         spec = self.spec
         measured = spec.measured_curve(night)
         key = (spec.file.oil_on(night), measured)
@@ -149,7 +149,7 @@ def settings_of(spec: MotorSpec) -> dict[str, Any]:
 
 
 def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool = False) -> str:
-    """Reason in words to redo nights or trends: a new version, or the settings that changed.
+    """Return reason in words to redo nights or trends: a new version, or the settings that changed.
 
     Examples
     --------
@@ -179,7 +179,7 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
 
 
 def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
-    """Settings by dotted key, as text."""
+    """Yield settings by dotted key, as text."""
     if isinstance(value, list) and value and isinstance(value[0], dict):
         value = {inner.get("name", number): inner for number, inner in enumerate(value)}
     if not isinstance(value, Mapping):

@@ -106,7 +106,7 @@ def load_fleet(path: Path) -> Fleet:
 
 
 def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple[str, Path]]:
-    """The folders of a fleet file by key, without those that cannot be."""
+    """Yield the folders of a fleet file by key, without those that cannot be."""
     for key in ("motors", "motor_types", "oils", "oil_circuits", "logs", "output"):
         given = getattr(folders, key, key)
         place = Path("out") if given is None else path.parent / given
@@ -129,7 +129,7 @@ class _Override(Section):
 def _settings(
     shared: Document, override: Any, motor: MotorFile | None, file: str, faults: list[Fault]
 ) -> Settings | None:
-    """The fleet's settings with a motor's own; None where they have a fault."""
+    """Return the fleet's settings with a motor's own; None where they have a fault."""
     merged = _merged(override if isinstance(override, dict) else {}, shared)
     found = validated(_Override, {"override": merged}, file, faults)
     if found is None:
@@ -147,7 +147,7 @@ def _settings(
 
 
 def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
-    """Faults of analyses that only show beside the oil, the date, or the other file."""
+    """Yield faults of analyses that only show beside the oil, the date, or the other file."""
     from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 
     if spec.file.oil_samples and spec.circuit_samples:
@@ -172,7 +172,7 @@ def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
 
 
 def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
-    """Motors that take their drain flow from one place."""
+    """Yield motors that take their drain flow from one place."""
     first: dict[object, str] = {}
     for spec in specs:
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
@@ -187,7 +187,7 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
 
 
 def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
-    """Faults that only show when type, oil, flushing and settings come together."""
+    """Yield faults that only show when type, oil, flushing and settings come together."""
     from leakage import LeakageError, leakage_l_per_min
 
     conditions = spec.settings.reference.conditions().operating
@@ -214,7 +214,7 @@ class _Folder(Generic[Model]):
 def _read_folder(
     folder: Path | None, model: type[Model], faults: list[Fault], **context: Document
 ) -> _Folder[Model]:
-    """All TOML files of a folder; none where it cannot be, which is told already."""
+    """Return all TOML files of a folder; none where it cannot be, which is told already."""
     found: _Folder[Model] = _Folder({}, {}, {})
     if folder is not None and not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
@@ -231,7 +231,7 @@ def _read_folder(
 
 
 def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
-    """Content of a TOML file; None if it has a fault."""
+    """Return content of a TOML file; None if it has a fault."""
     try:
         # Windows' editors begin a file with a byte order mark.
         document = tomllib.loads(_content(path).decode("utf-8-sig"))
@@ -275,7 +275,7 @@ def validated(
 
 
 def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
-    """A motor's file with the defaults where it says nothing; `name` is the file's.
+    """Return a motor's file with the defaults where it says nothing; `name` is the file's.
 
     Tables are merged key by key; a channel's that names its source or a constant stands alone.
 
@@ -298,12 +298,12 @@ def _merged(own: Document, defaults: Document) -> dict[str, Any]:
 
 
 def _is_whole(value: object) -> bool:
-    """True for a channel's table, which takes nothing from the defaults."""
+    """Return True for a channel's table, which takes nothing from the defaults."""
     return isinstance(value, Mapping) and bool({"source", "constant"} & value.keys())
 
 
 def named(value: Any, name: str) -> Any:
-    """A table, list or text with a motor's name in the mark's place."""
+    """Return a table, list or text with a motor's name in the mark's place."""
     if isinstance(value, Mapping):
         return {key: named(inner, name) for key, inner in value.items()}
     if isinstance(value, list):

@@ -22,7 +22,7 @@ LONGEST_PATTERN, LONGEST_NAME = 1024, 255
 
 
 def _pattern(pattern: str) -> str:
-    """A path or glob of logs below their root."""
+    """Return a path or glob of logs below their root."""
     parts = pattern.replace("\\", "/").split("/")
     longest = max(len(part.encode()) for part in parts)
     if pattern.startswith(("/", "\\")) or ".." in parts:

@@ -41,7 +41,7 @@ class Unknown(Section):
             yield (), "expected minimum <= value <= maximum", None
 
     def parameter(self, name: str, unit: str) -> Parameter:
-        """The unknown as the estimation knows it."""
+        """Return the unknown as the estimation knows it."""
         from leakage import Parameter
 
         return Parameter(name, unit, self.value, self.minimum, self.maximum, self.fixed)
@@ -251,7 +251,7 @@ class MotorTypeFile(Section):
             parameters |= own
 
     def paths(self) -> tuple[LeakagePath, ...]:
-        """The declared paths, in order."""
+        """Return the declared paths, in order."""
         return tuple(path.path() for path in self.path)
 
 
@@ -284,7 +284,7 @@ class OilFile(Section):
         return ()
 
     def oil(self) -> Oil:
-        """The oil as the physics knows it."""
+        """Return the oil as the physics knows it."""
         from leakage import Oil
         from leakage.physics.walther import walther_coefficients
 

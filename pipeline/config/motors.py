@@ -90,7 +90,7 @@ class Periods(Section):
             yield (), "expected periods that do not overlap", None
 
     def within(self, night: Night) -> ChosenPeriods:
-        """Those that touch a night, in order of time."""
+        """Return those that touch a night, in order of time."""
         from leakage.estimation.sample_blocks import ChosenPeriods
 
         def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
@@ -132,7 +132,7 @@ class FlushingTable(Section):
         return (self.mode, *self.also)
 
     def path(self, mode: str) -> Constant:
-        """The flushing of one mode as a constant path."""
+        """Return the flushing of one mode as a constant path."""
         from leakage import Constant, Parameter
         from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 
@@ -233,7 +233,7 @@ class MotorFile(Section):
         return self.oil if change is None else change.oil or self.oil
 
     def filled_on(self, night: dt.date) -> dt.date | None:
-        """Date on which the oil of a night was filled in; None where no event tells it."""
+        """Return date on which the oil of a night was filled in; None where no event tells it."""
         change = self._filling(night)
         return None if change is None else change.date
 

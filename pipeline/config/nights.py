@@ -25,7 +25,7 @@ class Night:
 
 
 def night(date: dt.date, nights: Nights) -> Night:
-    """The night that ends on a local date."""
+    """Return the night that ends on a local date."""
     return Night(date, _end_us(date - DAY, nights), _end_us(date, nights))
 
 
@@ -35,19 +35,19 @@ def _end_us(date: dt.date, nights: Nights) -> int:
 
 
 def night_of(time_us: int, nights: Nights) -> dt.date:
-    """Label of the night in which a moment lies [µs since 1970]."""
+    """Return label of the night in which a moment lies [µs since 1970]."""
     local = dt.datetime.fromtimestamp(time_us // 1_000_000, nights.zone)
     label = local.date()
     return label if time_us < _end_us(label, nights) else label + DAY
 
 
 def nights_between(first: dt.date, last: dt.date) -> list[dt.date]:
-    """All labels from the first to the last, both included."""
+    """Return all labels from the first to the last, both included."""
     return [first + index * DAY for index in range((last - first).days + 1)]
 
 
 def nights_of(time_us: NDArray[np.int64], nights: Nights) -> set[dt.date]:
-    """Labels of all nights in which any of some moments lies."""
+    """Return labels of all nights in which any of some moments lies."""
     import numpy as np
 
     if not len(time_us):

@@ -42,7 +42,7 @@ class OilSample(Section):
             yield ("viscosity_100_c_mm2_per_s",), message, at_100
 
     def curve(self, oil: OilFile) -> Walther | None:
-        """Walther constants of the sample; None without a viscosity."""
+        """Return Walther constants of the sample; None without a viscosity."""
         from leakage.physics.walther import walther_coefficients, walther_through
 
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
@@ -65,7 +65,7 @@ class OilCircuitFile(Section):
 
 
 def order_faults(samples: Sequence[OilSample]) -> Iterator[Misfit]:
-    """Samples that are not in order of their dates."""
+    """Yield samples that are not in order of their dates."""
     for index, (before, after) in enumerate(pairwise(samples), start=1):
         if after.date <= before.date:
             message = f"expected a date after {before.date}, that of the sample before"
@@ -75,7 +75,7 @@ def order_faults(samples: Sequence[OilSample]) -> Iterator[Misfit]:
 def measured_curve(
     samples: Sequence[OilSample], oil: OilFile, filled: dt.date | None, night: dt.date
 ) -> Walther | None:
-    """Walther constants in a night by the samples of a filling; None: by the data sheet.
+    """Return Walther constants in a night by the samples of a filling; None: by the data sheet.
 
     Between two samples A and B are linear in time, and so is log log Z = A − B log T (ASTM D341).
     A filling with a date begins as the data sheet has it.

@@ -16,7 +16,7 @@ BUILT_IN = {name: f"pipeline.ingest.{name}:READER" for name in ("csv", "mcap", "
 
 
 def reader_entry(name: str) -> EntryPoint:
-    """Entry point of a format's reader; nothing is imported.
+    """Return entry point of a format's reader; nothing is imported.
 
     Raises ValueError if no package has this name, or several have.
     """
@@ -33,7 +33,7 @@ def reader_entry(name: str) -> EntryPoint:
 
 
 def reader_version(entry: EntryPoint) -> str:
-    """Package and version of an installed reader; empty for a built-in one."""
+    """Return package and version of an installed reader; empty for a built-in one."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else ""
 
 
@@ -43,5 +43,5 @@ FormatName = Annotated[str, AfterValidator(lambda name: reader_entry(name).name)
 
 @cache
 def installed() -> tuple[EntryPoint, ...]:
-    """Entry points of readers of installed packages."""
+    """Return entry points of readers of installed packages."""
     return tuple(entry_points(group=GROUP))

@@ -64,12 +64,12 @@ class ConfigError(MotorLeakageError):
 
 
 def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
-    """A fault at a key: what stands there, and what was expected."""
+    """Return a fault at a key: what stands there, and what was expected."""
     return Fault(file, ".".join(map(str, place)), _quote(given) + message)
 
 
 def fault_of(detail: ErrorDetails, file: str, document: object) -> Fault:
-    """A finding of pydantic's about a file."""
+    """Return a finding of pydantic's about a file."""
     place, kind = detail["loc"], detail["type"]
     key = _key((*place, "law") if kind.startswith("union_tag") else place, document)
     given = "" if UNQUOTED.intersection(place) else _quote(detail["input"])
@@ -92,7 +92,7 @@ def _meant(key: str) -> str:
 
 
 def _key(place: Place, document: object) -> str:
-    """A place as people find it: ``path "piston_ring" count`` for the table of that name.
+    """Return a place as people find it: ``path "piston_ring" count`` for the table of that name.
 
     Left out is what pydantic adds and no file has: marks of a key, the law of a path.
     """
@@ -118,7 +118,7 @@ def _below(document: Any, part: str | int) -> Any:
 
 
 def _quote(given: object) -> str:
-    """Value in the file, unless there is none, it is long, or may hold a secret."""
+    """Return value in the file, unless there is none, it is long, or may hold a secret."""
     text = json.dumps(given, default=str, ensure_ascii=False)
     long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
     secret = isinstance(given, Mapping) and any(f'"{key}"' in text for key in UNQUOTED)
@@ -141,7 +141,7 @@ class Stage(Flag):
 
 
 def known_zone(name: str) -> str:
-    """The name of a time zone. Raises ValueError if there is none of it."""
+    """Return the name of a time zone. Raises ValueError if there is none of it."""
     with suppress(KeyError, ValueError, OSError):
         ZoneInfo(name)
         # The folders `posix` and `right` hold all zones again, `right` with leap seconds.
@@ -201,11 +201,11 @@ class Section(BaseModel):
     """Stage of the keys that name none; not there where a table is part of no hash."""
 
     def misfits(self) -> Iterable[Misfit]:
-        """Keys that do not go together."""
+        """Return keys that do not go together."""
         return ()
 
     def at(self, key: str, message: str) -> Misfit:
-        """A misfit at a key: what was expected, and what stands there."""
+        """Return a misfit at a key: what was expected, and what stands there."""
         return (key,), message, getattr(self, key)
 
     @model_validator(mode="after")
@@ -225,7 +225,7 @@ class Section(BaseModel):
     @classmethod
     @cache
     def in_stage(cls, stage: Stage) -> Mapping[str, bool]:
-        """Whether each key is of a stage: that which it names, else its table's."""
+        """Return whether each key is of a stage: that which it names, else its table's."""
         found = {}
         for key, field in cls.model_fields.items():
             own = next((own for own in field.metadata if isinstance(own, Stage)), cls.shapes)
@@ -235,7 +235,7 @@ class Section(BaseModel):
     @classmethod
     @cache
     def _looked_at(cls, stage: Stage) -> tuple[tuple[str, bool], ...]:
-        """Keys of a stage, and those that may hold tables, with whether they are of it."""
+        """Return keys of a stage, and those that may hold tables, with whether they are of it."""
         return tuple(
             (key, is_of_it)
             for key, is_of_it in cls.in_stage(stage).items()
@@ -243,7 +243,7 @@ class Section(BaseModel):
         )
 
     def shaping(self, stage: Stage) -> dict[str, Any]:
-        """All settings of a stage, by key; of tables, the keys that are of it."""
+        """Return all settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
         for key, is_of_it in self._looked_at(stage):
             value = getattr(self, key)
@@ -266,5 +266,5 @@ def _holds_tables(kind: Any) -> bool:
 
 
 def left_out() -> Any:
-    """Default of a table that a file may leave out: its keys have theirs."""
+    """Return default of a table that a file may leave out: its keys have theirs."""
     return Field({}, validate_default=True)

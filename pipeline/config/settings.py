@@ -145,7 +145,7 @@ class Windows(Section):
     """Share of running samples that a fit needs."""
 
     def blocks(self) -> Blocks:
-        """The same as the estimation takes them."""
+        """Return the same as the estimation takes them."""
         from leakage.estimation.sample_blocks import Windows as Blocks
 
         return Blocks(BLOCK_S, split=self.split, training_share=self.training_share)

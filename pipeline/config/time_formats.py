@@ -20,7 +20,7 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 
 def require_time_format(time_format: str) -> str:
-    """The format, if it has a day, hour and minute, and no directive that is not supported.
+    """Return the format, if it has a day, hour and minute, and no directive that is not supported.
 
     Raises ValueError if it is none of the formats that can be read.
     """

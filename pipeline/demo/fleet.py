@@ -32,7 +32,7 @@ class Wear:
     power: int = 1
 
     def growth(self, path: str, number: int) -> float:
-        """Relative growth of a path's gap height by a night, counted from 1, [-]."""
+        """Return relative growth of a path's gap height by a night, counted from 1, [-]."""
         if path not in self.paths or number < self.first_night:
             return 0.0
         nights = LAST_NIGHT_OF_GROWTH - self.first_night + 1
@@ -107,7 +107,7 @@ class DemoNight:
 
 
 def coefficients_of(night: DemoNight) -> dict[str, float]:
-    """A motor in a night: as built, with its wear and a small scatter between nights.
+    """Return a motor in a night: as built, with its wear and a small scatter between nights.
 
     By path: K of the gaps [m³], scale of the rollers' curve [-], flushing [l/min].
     """
@@ -127,13 +127,13 @@ def coefficients_of(night: DemoNight) -> dict[str, float]:
 
 
 def reference_leakage(night: DemoNight, coefficients: Mapping[str, float]) -> float:
-    """Leakage without flushing at the reference conditions, [l/min]."""
+    """Return leakage without flushing at the reference conditions, [l/min]."""
     conditions = night.spec.settings.reference.conditions().operating
     return float(leakage_l_per_min(night.motor, conditions, coefficients)[0])
 
 
 def truth_document(plan: Plan, nights: Iterable[DemoNight]) -> dict[str, Any]:
-    """Content of ``truth.json``: for people and tests, never read by the pipeline."""
+    """Return content of ``truth.json``: for people and tests, never read by the pipeline."""
     motors: dict[str, dict[str, Any]] = {}
     for night in nights:
         found, motor, wear = coefficients_of(night), night.motor, night.demo.wear

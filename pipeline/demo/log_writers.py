@@ -31,7 +31,7 @@ def write_log(path: Path, recording: Recording, motor: MotorFile) -> None:
 
 
 def as_logged(channel: str, values: FloatArray, source: Channel) -> FloatArray:
-    """Values as the log holds them: the inverse of what the reader does."""
+    """Return values as the log holds them: the inverse of what the reader does."""
     in_unit = from_canonical(channel, values, source.unit)
     return np.round((in_unit - source.offset) / source.scale, 6) + 0.0  # no -0.0
 

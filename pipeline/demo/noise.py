@@ -10,7 +10,7 @@ FloatArray = NDArray[np.float64]
 
 
 def phi_of(step_s: float, time_constant_s: float) -> float:
-    """Coefficient of a first-order autoregression: φ = exp(−Δt/τ), both times in [s]."""
+    """Return coefficient of a first-order autoregression: φ = exp(−Δt/τ), both times in [s]."""
     return float(np.exp(-step_s / time_constant_s))
 
 

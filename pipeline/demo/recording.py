@@ -133,7 +133,7 @@ def _speed_rpm(demo: DemoMotor, time_s: FloatArray, rng: Rng) -> FloatArray:
 
 
 def _temperature_c(demo: DemoMotor, time_s: FloatArray, rng: Rng) -> FloatArray:
-    """Three slow waves, scaled so that every night sees the whole swing."""
+    """Return three slow waves, scaled so that every night sees the whole swing."""
     middle, swing = demo.temperature_c
     periods = rng.uniform(*TEMPERATURE_PERIODS_S, 3)
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
@@ -143,7 +143,7 @@ def _temperature_c(demo: DemoMotor, time_s: FloatArray, rng: Rng) -> FloatArray:
 
 
 def _load_cycle(time_s: FloatArray, rng: Rng, levels: Callable[[int], FloatArray]) -> FloatArray:
-    """Random levels, each held for a while, with straight ramps between them."""
+    """Return random levels, each held for a while, with straight ramps between them."""
     count = int(time_s[-1] / (HOLD_S[0] + RAMP_S[0])) + 2
     ramps, holds = rng.uniform(*RAMP_S, count), rng.uniform(*HOLD_S, count)
     ends = np.cumsum(ramps + holds)
@@ -154,7 +154,7 @@ def _load_cycle(time_s: FloatArray, rng: Rng, levels: Callable[[int], FloatArray
 def _signals(
     night: DemoNight, time_s: FloatArray, operation: Operation, rng: Rng
 ) -> dict[ChannelName, FloatArray]:
-    """True signal at each sensor, by channel."""
+    """Return True signal at each sensor, by channel."""
     step_s, pressure_bar = 1.0 / night.plan.rate_hz, operation.pressure_difference_bar
     pressures: dict[ChannelName, FloatArray] = {"pressure_difference": pressure_bar}
     if "pressure_difference" not in night.spec.file.channels:
@@ -180,7 +180,7 @@ def _signals(
 
 
 def _logged(night: DemoNight, name: ChannelName, signal: FloatArray, rng: Rng) -> FloatArray:
-    """A channel as its sensor and the logger make it: noise, coarse steps, single faults."""
+    """Return a channel as its sensor and the logger make it: noise, coarse steps, single faults."""
     channel, hours, size = night.spec.file.channels[name], night.plan.minutes / 60.0, signal.size
     noise, spike, error_value = SENSORS[name]
     noisy = signal + noise * rng.standard_normal(size)
@@ -203,12 +203,12 @@ def _logged(night: DemoNight, name: ChannelName, signal: FloatArray, rng: Rng) -
 
 
 def _in_steps(values: FloatArray, channel: Channel) -> FloatArray:
-    """Whole steps of the resolution, as the shortest decimal numbers."""
+    """Return whole steps of the resolution, as the shortest decimal numbers."""
     return np.round(np.rint(values / channel.resolution) * channel.resolution, 6) + 0.0  # no -0.0
 
 
 def _with_log_faults(night: DemoNight, recording: Recording, rng: Rng) -> Recording:
-    """A recording without its missing periods, and with some stamps repeated or set back."""
+    """Return a recording without its missing periods, and with some stamps repeated or set back."""
     hours, rows = night.plan.minutes / 60.0, recording.time_us.size
     absent = _stretches(rows, hours, MISSING, (20.0, 180.0), rng)
     absent[[0, -1]] = False
@@ -225,14 +225,14 @@ def _with_log_faults(night: DemoNight, recording: Recording, rng: Rng) -> Record
 
 
 def _some(size: int, expected: float, rng: Rng) -> NDArray[np.intp]:
-    """A random number of random samples."""
+    """Return a random number of random samples."""
     return np.asarray(rng.integers(0, size, rng.poisson(expected)), dtype=np.intp)
 
 
 def _stretches(
     size: int, hours: float, per_hour: float, seconds: tuple[float, float], rng: Rng
 ) -> NDArray[np.bool_]:
-    """Mask of random stretches of time; none is longer than a twentieth of the log."""
+    """Return mask of random stretches of time; none is longer than a twentieth of the log."""
     inside = np.zeros(size, dtype=np.bool_)
     samples_per_s = size / (3600.0 * hours)
     for first in _some(size, per_hour * hours, rng):

@@ -71,7 +71,7 @@ def write_demo(
 
 
 def shipped_configs() -> Path:
-    """Folder of the shipped configs: the package's, or the repository's."""
+    """Return folder of the shipped configs: the package's, or the repository's."""
     package = Path(__file__).resolve().parents[1]
     shipped = package / "shipped_configs"
     return shipped if shipped.is_dir() else package.parent / "configs"

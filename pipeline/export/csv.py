@@ -52,7 +52,7 @@ class CsvRequest:
 
 
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
-    """Tables by their names; all of them where none is named.
+    """Return tables by their names; all of them where none is named.
 
     Raises UsageError (``unknown_table``) if there is no table of a name.
     """
@@ -108,7 +108,7 @@ def _export_table(
 
 
 def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
-    """Rows of the motors, and of the nights or else the days of the time in the key."""
+    """Return rows of the motors, and of the nights or else the days of the time in the key."""
     chosen = pl.lit(value=True)
     if request.motors and "motor_id" in table.schema:
         chosen &= pl.col("motor_id").is_in(request.motors)
@@ -122,7 +122,7 @@ def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
 
 
 def as_text(rows: pl.DataFrame, separator: str = ",") -> pl.DataFrame:
-    """Rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text.
+    """Return rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text.
 
     Examples
     --------
@@ -158,7 +158,7 @@ def _harmless(text: pl.Expr, separator: str) -> pl.Expr:
 
 
 def _json(values: Sequence[object]) -> str:
-    """A list as JSON, which has no number that is not finite: null stands for it."""
+    """Return a list as JSON, which has no number that is not finite: null stands for it."""
     finite = [
         None if isinstance(value, float) and not math.isfinite(value) else value for value in values
     ]

@@ -208,7 +208,7 @@ def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:
 
 
 def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last: Row) -> Row | None:
-    """The row by which a published night settles a rise; None: none says anything yet."""
+    """Return the row by which a published night settles a rise; None: none says anything yet."""
     spec = as_published(spec, read_settings(state).get(spec.motor_id))
     time_us, nights = microseconds(last["time"]), spec.settings.nights
     first = night_of(time_us, nights)

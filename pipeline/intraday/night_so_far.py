@@ -66,7 +66,7 @@ class NightSoFar:
 def read_so_far(
     spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int
 ) -> tuple[Night, dict[str, RawChannel]]:
-    """The night of the newest samples in a motor's logs, and its channels.
+    """Return the night of the newest samples in a motor's logs, and its channels.
 
     `known`: The logs as the last nightly run read them, which says how far most of them go; where
     none is new, there is no night so far. Samples after `latest_us` are refused.
@@ -93,7 +93,7 @@ def read_so_far(
 def _newest_logs(
     spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int, faults: list[str]
 ) -> list[Path]:
-    """Logs of the night with the newest stamp and the day before it, in order of their ends.
+    """Return logs of the night with the newest stamp and the day before it, in order of their ends.
 
     The newest stamp may be a wrong one, up to a day ahead. None where no log is new.
     """
@@ -118,14 +118,14 @@ def _newest_logs(
 
 
 def _state(record: FileRecord) -> tuple[int, int]:
-    """What is another one where a log was written to."""
+    """Return what is another one where a log was written to."""
     return record.size, record.modified_ns
 
 
 def blocks_so_far(
     spec: MotorSpec, watch_columns: WatchColumns, night: Night, channels: dict[str, RawChannel]
 ) -> NightSoFar:
-    """Short blocks of a warm motor, by the night's own rules.
+    """Return short blocks of a warm motor, by the night's own rules.
 
     Raises Insufficient or LeakageError where they say nothing.
     """
@@ -156,7 +156,7 @@ def blocks_so_far(
 
 
 def _warm(begins_us: np.ndarray, night_start_us: int) -> np.ndarray:
-    """Blocks that do not follow a start of the motor; over the night's border it ran on."""
+    """Return blocks that do not follow a start of the motor; over the night's border it ran on."""
     pause = np.diff(begins_us, prepend=night_start_us) >= WARM_UP_US
     started = np.maximum.accumulate(np.where(pause, begins_us, night_start_us - WARM_UP_US))
     return begins_us - started >= WARM_UP_US
@@ -172,13 +172,13 @@ class NightsBefore:
     usual: Mapping[str, float]  # as of `usual_readings`
 
     def columns_changed(self, spec: MotorSpec, blocks: NightBlocks) -> str | None:
-        """Why blocks look like those of other columns or units than the nights before."""
+        """Return why blocks look like those of other columns or units than the nights before."""
         return column_change(spec, self.usual, _readings(blocks)) if self.usual else None
 
     def blocks_of(
         self, output: Path, spec: MotorSpec, label: dt.date, begin_us: int
     ) -> NightBlocks | None:
-        """Published blocks of a night from a time on; its last one where it ends before."""
+        """Return published blocks of a night from a time on; its last one where it ends before."""
         rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=[label])
         stored = self.watch_columns.blocks(spec, rows) if rows.height else None
         if stored is None:
@@ -197,7 +197,7 @@ def nights_before(
     content: bytes | None,
     label: dt.date,
 ) -> NightsBefore:
-    """The watch before a night, by what the last nightly run left of it.
+    """Return the watch before a night, by what the last nightly run left of it.
 
     Raises Insufficient if there is none; StoreError if a published table is damaged.
     """
@@ -248,7 +248,7 @@ def nights_before(
 
 
 def _readings(blocks: NightBlocks) -> dict[str, float]:
-    """Mean readings of some blocks, by channel."""
+    """Return mean readings of some blocks, by channel."""
     temperature, pressure, speed = blocks.conditions.mean(axis=0).tolist()
     readings = (pressure, temperature, speed, float(blocks.flow.mean()))
     return dict(zip(COLUMNS, readings, strict=True))

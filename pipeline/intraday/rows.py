@@ -33,7 +33,7 @@ def row_of(
     change: Estimate | None = None,
     night: dt.date | None = None,
 ) -> Row:
-    """A change from one state to another."""
+    """Return a change from one state to another."""
     row: Row = {"motor_id": motor_id, "time": utc(time_us), "reason": reason, "confirmed_by": night}
     row |= dict(zip(("from_state", "to_state"), states, strict=True))
     if change is not None:
@@ -44,13 +44,13 @@ def row_of(
 
 
 def last_rows(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
-    """The last row of each motor that has one; raises StoreError if the table is damaged."""
+    """Return the last row of each motor that has one; raises StoreError if the table is damaged."""
     rows = read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True)
     return {row["motor_id"]: row for row in rows}
 
 
 def open_rises(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
-    """The rows of rises that no night has settled, by motor; raises as `last_rows`."""
+    """Return the rows of rises that no night has settled, by motor; raises as `last_rows`."""
     last = last_rows(output, motor_ids)
     return {motor_id: row for motor_id, row in last.items() if row["to_state"] == RISEN}
 
@@ -65,7 +65,7 @@ def publish_rows(state: State, rows: Iterable[Row], run_id: str) -> None:
 
 
 def intraday_statuses(output: Path, motor_ids: Sequence[str]) -> dict[str, IntradayStatus]:
-    """What the table says of some motors, by motor; raises StoreError if it is damaged."""
+    """Return what the table says of some motors, by motor; raises StoreError if it is damaged."""
     found: dict[str, IntradayStatus] = {}
     for row in read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True):
         before, to_state = found.get(row["motor_id"]), row["to_state"]

@@ -72,7 +72,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
 
 
 def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
-    """Reason to leave a file that was just written to to a later run; None without one."""
+    """Return reason to leave a file that was just written to to a later run; None without one."""
     age_s = (time.time_ns() - record.modified_ns) / 1e9
     # A clock that is far ahead must not keep a file out for good.
     if abs(age_s) >= settle_s:
@@ -137,7 +137,7 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """The record of a file that was read: its span, its nights, and notes on skipped cells.
+    """Return the record of a file that was read: its span, its nights, and notes on skipped cells.
 
     Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
     """
@@ -169,7 +169,7 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
 
 
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
-    """Stamps without those that lie over a year from most; a note counts them."""
+    """Return stamps without those that lie over a year from most; a note counts them."""
     # A stamp that there is, not a mean of two: it is never far from itself.
     middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
     far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
@@ -183,7 +183,7 @@ def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.
 
 
 def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
-    """Messages about channels all of whose cells are blank."""
+    """Return messages about channels all of whose cells are blank."""
     cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
     blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
     notes = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
@@ -202,14 +202,14 @@ def _is_blank(channel: RawChannel) -> bool:
 
 
 def labels_of(record: FileRecord) -> set[dt.date]:
-    """Nights that a file touches."""
+    """Return nights that a file touches."""
     return set(map(dt.date.fromisoformat, record.nights))
 
 
 def slice_night(
     logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
 ) -> dict[str, RawChannel]:
-    """The samples of a night from the contents of all files that have some, file after file.
+    """Return the samples of a night from the contents of all files that have some, file after file.
 
     `reach_us` is, by channel, from how long before the night samples carry over into it [µs].
     """
@@ -231,7 +231,7 @@ def slice_night(
 
 
 def reaches_us(spec: MotorSpec) -> dict[str, int]:
-    """Longest time for which the last sample of each on-change channel holds [µs]."""
+    """Return longest time for which the last sample of each on-change channel holds [µs]."""
     return {
         name: round(channel.longest_silence_s * SECOND_US)
         for name, channel in spec.file.channels.items()

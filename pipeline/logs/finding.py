@@ -26,7 +26,7 @@ GLOB_CHARACTERS = frozenset("*?[")
 
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
-    """A motor's log files by path below the log root, and those that are named but absent.
+    """Return a motor's log files by path below the log root, and those that are named but absent.
 
     The `silent` files and patterns did not answer, and are not looked at. A pattern whose folder
     may not be entered stands among the files: as a log that cannot be read.
@@ -64,7 +64,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
 
 
 def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
-    """Paths that a glob names, as `Path.glob`, and if each is known to be a file.
+    """Yield paths that a glob names, as `Path.glob`, and if each is known to be a file.
 
     A folder of many motors is listed once.
     """
@@ -94,7 +94,7 @@ def _names_as_of(folder: Path, _: int) -> tuple[list[str], set[str]]:
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
-    """True for a folder; a path that did not answer is taken for a file."""
+    """Return True for a folder; a path that did not answer is taken for a file."""
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
@@ -112,7 +112,7 @@ def require_answer(name: str, path: Path) -> None:
 
 
 def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
-    """Messages about globs that match no file."""
+    """Return messages about globs that match no file."""
     return tuple(
         f"no file matches {pattern} below {root}"
         for pattern in patterns
@@ -123,13 +123,13 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def suffix_of(path: Path) -> str:
-    """Ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
+    """Return ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
     packed = path.suffix.lower() in (".gz", ".zst")
     return "".join(path.suffixes[-2:]) if packed else path.suffix
 
 
 def logs_below(folder: Path) -> Iterator[Path]:
-    """Files of a folder that are logs by their names."""
+    """Yield files of a folder that are logs by their names."""
     for place, _, names in os.walk(folder.resolve()):
         if Path(place).name == LOG:
             continue
@@ -139,7 +139,7 @@ def logs_below(folder: Path) -> Iterator[Path]:
 
 
 def unclaimed(fleet: Fleet) -> tuple[str, ...]:
-    """Logs in the folder of the logs that no motor claims, by their path in it."""
+    """Return logs in the folder of the logs that no motor claims, by their path in it."""
     if fleet.log_url:
         return ()
     claimed = {path for spec in fleet.motors for path in find_logs(spec)[0].values()}
@@ -158,12 +158,12 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
 
 
 def strays_told(strays: Sequence[str]) -> str:
-    """Logs that no motor claims, in words; empty for none."""
+    """Return logs that no motor claims, in words; empty for none."""
     named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
     match = "matches" if len(strays) == 1 else "match"
     return f"{counted(len(strays), 'file')} {match} no motor: {named}" if strays else ""
 
 
 def legible(text: str) -> str:
-    """Text for tables, terminals and pages: characters that do not print become escapes."""
+    """Return text for tables, terminals and pages: characters that do not print become escapes."""
     return one_line(text, LONGEST_PATH)

@@ -55,7 +55,7 @@ class FolderLogs:
         self.names = tuple(self._paths)
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """The record of a log, as `inspect_log`."""
+        """Return the record of a log, as `inspect_log`."""
         record = self._seen(name)
         if record.status == "failed":
             return record
@@ -70,22 +70,22 @@ class FolderLogs:
         return found if why is None else failed(found, why)
 
     def _seen(self, name: str) -> FileRecord:
-        """The record of a log that is not opened."""
+        """Return the record of a log that is not opened."""
         return look_at(name, self.path(name))
 
     def path(self, name: str) -> Path:
-        """A file with the content of a log; of one that is gone, where it was.
+        """Return a file with the content of a log; of one that is gone, where it was.
 
         Raises LogError: ``log_growing``: it is no more as it was when it was listed.
         """
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """The change of a log since it was looked at; None without one."""
+        """Return the change of a log since it was looked at; None without one."""
         return change_of(record, self.path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
-        """Messages about globs that match no log."""
+        """Return messages about globs that match no log."""
         patterns = [name for name in self._spec.file.logs.files if name not in self.names]
         return without_match(self._spec.log_root, patterns)
 
@@ -170,7 +170,7 @@ def _matching(
 
 
 def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a key fits a glob as `Path.glob` takes it: a star stays within a folder.
+    """Return whether a key fits a glob as `Path.glob` takes it: a star stays within a folder.
 
     Examples
     --------
@@ -187,5 +187,5 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 def logs_of(
     spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
 ) -> FolderLogs:
-    """A motor's logs at the place in its config."""
+    """Return a motor's logs at the place in its config."""
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -88,11 +88,11 @@ class MotorLogs:
         return logs_of(self._spec, self._latest_us, self._silent)
 
     def unmatched(self) -> tuple[str, ...]:
-        """Messages about globs that match no log."""
+        """Return messages about globs that match no log."""
         return self._source.unmatched()
 
     def _look(self) -> dict[str, FileRecord]:
-        """Each file as its ends tell it."""
+        """Return each file as its ends tell it."""
         self.absent = self._source.absent
         found = {name: self._look_at(name) for name in self._source.names}
         return {name: replace(record, read_with=self._read_with) for name, record in found.items()}
@@ -107,18 +107,18 @@ class MotorLogs:
         return self._unanswered(FileRecord(name, 0, 0, None))
 
     def _unanswered(self, record: FileRecord) -> FileRecord:
-        """The record of a file that is to be tried again by the next run."""
+        """Return the record of a file that is to be tried again by the next run."""
         loss = self._silent[record.path]
         error = LogError(loss.code, Path(record.path), loss.how.removeprefix(f"{record.path} "))
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
-        """The former record of a file, if it was read with the same settings."""
+        """Return the former record of a file, if it was read with the same settings."""
         record = self.before.get(name)
         return record if record and record.read_with == self._read_with else None
 
     def news_of(self, name: str) -> str | None:
-        """The news of a file that no run has finished with, as text; None without any."""
+        """Return the news of a file that no run has finished with, as text; None without any."""
         before, known, now = self.before.get(name), self._known(name), self.files[name]
         if before is None:
             return f"new file {name}"
@@ -133,7 +133,7 @@ class MotorLogs:
         return f"the night of {name} is known now" if is_newly_known else None
 
     def touched(self, name: str) -> set[dt.date]:
-        """Nights in which a file has samples, or had them before it was changed."""
+        """Return nights in which a file has samples, or had them before it was changed."""
         record = self.files[name]
         return labels_of(record) | labels_of(self.before.get(name, record))
 
@@ -151,7 +151,7 @@ class MotorLogs:
         return found
 
     def present(self) -> set[dt.date]:
-        """Nights in which any file has samples."""
+        """Return nights in which any file has samples."""
         return {label for record in self.files.values() for label in labels_of(record)}
 
     def waiting(self) -> set[dt.date]:
@@ -164,12 +164,12 @@ class MotorLogs:
         }
 
     def contents_of(self, label: dt.date) -> tuple[str, ...]:
-        """Hashes of the contents of a night's files, cut short, in order."""
+        """Return hashes of the contents of a night's files, cut short, in order."""
         found = (self.files[name] for name in self.of_night(label))
         return tuple(record.sha256[:HASH_LENGTH] for record in found if record.sha256)
 
     def has_contents(self, hashes: Collection[str]) -> bool:
-        """True where all contents of some hashes are there, under whatever names."""
+        """Return True where all contents of some hashes are there, under whatever names."""
         return bool(hashes) and self._sound.issuperset(hashes)
 
     @property
@@ -178,7 +178,7 @@ class MotorLogs:
         return {record.sha256[:HASH_LENGTH] for record in found if record.sha256}
 
     def of_night(self, label: dt.date) -> list[str]:
-        """Files of a night, in order of time."""
+        """Return files of a night, in order of time."""
         names = [name for name, record in self.files.items() if label in labels_of(record)]
         return self._in_order(names)
 
@@ -197,7 +197,7 @@ class MotorLogs:
         return sorted(names, key=lambda name: (self.files[name].first_us or 0, name))
 
     def content(self, name: str) -> RawLog | None:
-        """A log's content, read once while it is needed.
+        """Return a log's content, read once while it is needed.
 
         None where it cannot be read, or was changed since it was looked at: that goes into its
         record.
@@ -266,7 +266,7 @@ class MotorLogs:
         }
 
     def counts(self, done: Collection[dt.date]) -> Counter[str]:
-        """Number of files by outcome, one of `FATES`."""
+        """Return number of files by outcome, one of `FATES`."""
         finished = self.finished(done)
         return Counter(self._fate(name, finished) for name in self.files)
 
@@ -278,12 +278,12 @@ class MotorLogs:
         return "read" if name in self.read else "unchanged"
 
     def growing(self) -> list[str]:
-        """Messages about files that change while they are read."""
+        """Return messages about files that change while they are read."""
         records = (record for _, record in sorted(self.files.items()))
         return [record.message or "" for record in records if record.status == "growing"]
 
     def left_out(self) -> list[str]:
-        """Messages about files that were read, and of which rows were left out."""
+        """Return messages about files that were read, and of which rows were left out."""
         return [
             f"{name}: {self.files[name].message}"
             for name in sorted(self.read)

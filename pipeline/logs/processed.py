@@ -124,7 +124,7 @@ class ProcessedChange:
 
     @classmethod
     def between(cls, before: ProcessedLogs, after: ProcessedLogs) -> ProcessedChange:
-        """The change from one record of processed logs to another."""
+        """Return the change from one record of processed logs to another."""
         return cls(
             _changed(before.files, after.files),
             _changed(before.nights, after.nights),
@@ -144,7 +144,7 @@ _NIGHT_COLUMNS = ("night", *(field.name for field in fields(NightRecord)))
 
 
 def read_processed(state: State, motor_id: str) -> ProcessedLogs:
-    """A motor's record of processed logs."""
+    """Return a motor's record of processed logs."""
     settings = state.rows("SELECT settings FROM motors WHERE motor_id = ?", motor_id)
     if not settings:
         return ProcessedLogs()
@@ -232,7 +232,7 @@ def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSp
 
 
 def read_settings(state: State) -> dict[str, dict[str, Any]]:
-    """Settings of each motor's last run, by motor."""
+    """Return settings of each motor's last run, by motor."""
     return {
         motor_id: json.loads(text)
         for motor_id, text in state.rows("SELECT motor_id, settings FROM motors")
@@ -293,7 +293,7 @@ def forget_nights(
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file's content.
+    """Return SHA-256 of a file's content.
 
     Raises OSError if the file cannot be read.
     """

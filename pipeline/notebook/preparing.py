@@ -152,7 +152,7 @@ def fit_periods(
 
 
 def _labels(text: str) -> list[dt.date]:
-    """The nights from A to B, both included, or A alone."""
+    """Return the nights from A to B, both included, or A alone."""
     first, _, last = text.partition("..")
     try:
         ends = [dt.date.fromisoformat(day) for day in (first, last or first)]
@@ -170,7 +170,7 @@ def _motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
 
 
 def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
-    """Samples of some nights of a motor from its logs, in order of time."""
+    """Return samples of some nights of a motor from its logs, in order of time."""
     logs = MotorLogs(spec, {}, latest_us(), {})
     labels = sorted(logs.present() & set(nights))
     if not labels:
@@ -198,7 +198,7 @@ def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
 def _cleaned(
     file: MotorFile, settings: Settings, label: dt.date, channels: MutableMapping[str, RawChannel]
 ) -> Part:
-    """Kept samples of a night, and counts of each rule that refused anything."""
+    """Return kept samples of a night, and counts of each rule that refused anything."""
     here = night(label, settings.nights)
     try:
         samples, quality = clean_channels(file, settings, here, channels)

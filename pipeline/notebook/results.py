@@ -19,7 +19,7 @@ class Tables:
     output: Path
 
     def table(self, name: str) -> pl.LazyFrame:
-        """A table by name; columns that an older file lacks are null.
+        """Return a table by name; columns that an older file lacks are null.
 
         Raises UsageError (``unknown_table``) if there is none of this name.
         """
@@ -39,11 +39,11 @@ class Tables:
         )
 
     def fits(self) -> pl.LazyFrame:
-        """The primary fit of each motor and night."""
+        """Return the primary fit of each motor and night."""
         return self.table("fits").filter("is_primary").sort("motor_id", "night")
 
     def nights(self) -> pl.LazyFrame:
-        """The nights of all motors."""
+        """Return the nights of all motors."""
         return self.table("nights").sort("motor_id", "night")
 
 

@@ -53,18 +53,18 @@ class Beat:
     error_code: str | None = None  # of a run that failed
 
     def is_missing(self, now: dt.datetime) -> bool:
-        """True if a run is said to be under way and its beats have stopped."""
+        """Return True if a run is said to be under way and its beats have stopped."""
         age_s = (now - self.beaten_at).total_seconds()
         return self.state == RUNNING and age_s > MISSED_BEATS * INTERVAL_S
 
 
 def heartbeat_file(output: Path) -> Path:
-    """File of the heartbeat."""
+    """Return file of the heartbeat."""
     return output / "heartbeat.json"
 
 
 def read_heartbeat(output: Path) -> Beat | None:
-    """The last beat; None without a valid one."""
+    """Return the last beat; None without a valid one."""
     try:
         return TypeAdapter(Beat).validate_json(heartbeat_file(output).read_bytes())
     except (OSError, ValueError):

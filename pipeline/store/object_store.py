@@ -57,7 +57,7 @@ class ObjectStore:
 
     @classmethod
     def at(cls, url: str) -> ObjectStore:
-        """The store at a URL; no request is sent yet.
+        """Return the store at a URL; no request is sent yet.
 
         Raises StoreError: ``object_store_missing``: the extra is not installed;
         ``object_store_credentials``: the environment has none; ``object_store_http``: the server
@@ -91,7 +91,7 @@ class ObjectStore:
             self._client.put(key, content, use_multipart=False)
 
     def get(self, key: str) -> bytes | None:
-        """Content of an object; None where there is none."""
+        """Return content of an object; None where there is none."""
         with self._store_errors(key, "read"):
             try:
                 got = self._client.get(key)
@@ -118,7 +118,7 @@ class ObjectStore:
                 raise ObjectChangedError(stored.key) from error
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Objects in a folder and below."""
+        """Yield objects in a folder and below."""
         with self._store_errors(prefix, "listed"):
             for page in self._client.list(prefix or None):
                 for entry in page:

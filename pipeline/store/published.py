@@ -98,7 +98,7 @@ class VerifiedFile:
 
 
 def accepted_digests(state: State, name: str) -> frozenset[str]:
-    """Digests that a file may have; none where it is not listed."""
+    """Return digests that a file may have; none where it is not listed."""
     listed = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
     return frozenset(digest for row in listed for digest in row if digest is not None)
 
@@ -164,12 +164,12 @@ def verify_files(state: State, due: Collection[str] | None = ()) -> Iterator[Ver
 
 
 def _published_names(output: Path) -> Iterator[str]:
-    """Names of the files that are in places of tables."""
+    """Yield names of the files that are in places of tables."""
     return (name_of(output, path) for table in TABLES for path in files_of(output, table))
 
 
 def longest_unproven(state: State) -> set[str]:
-    """Names of the files that a run reads, though nobody has written to them."""
+    """Return names of the files that a run reads, though nobody has written to them."""
     names = state.rows("SELECT name FROM files ORDER BY proven, name")
     return {name for (name,) in names[: ceil(len(names) * PART_OF_A_RUN)]}
 
@@ -182,13 +182,13 @@ def set_aside(state: State, name: str) -> None:
 
 
 def faults_of(output: Path) -> tuple[TableFault, ...]:
-    """Faults of the published files that are gone, or were written to since."""
+    """Return faults of the published files that are gone, or were written to since."""
     with read_state_file(output) as state:
         return tuple(file.fault for file in verify_files(state) if file.fault is not None)
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
-    """Faults of all files of an output: each is read; a run may be publishing meanwhile."""
+    """Yield faults of all files of an output: each is read; a run may be publishing meanwhile."""
     if not is_sound(output):
         message = "the next run makes it anew from logs and tables"
         yield TableFault(STATE_FILE, "state_damaged", message)

@@ -61,7 +61,7 @@ class Staged:
     nights: tuple[dt.date, ...]
 
     def rows(self) -> pa.Table:
-        """The rows; the file is open only while it is read: a fleet has many."""
+        """Return the rows; the file is open only while it is read: a fleet has many."""
         with self.path.open("rb") as file:
             file.seek(self.begin)
             return pa.ipc.open_stream(file.read(self.size)).read_all()
@@ -111,7 +111,7 @@ def staged_in(
 
 
 def staged_file(folder: Path, motor_id: str) -> Path:
-    """File of a motor's staged rows."""
+    """Return file of a motor's staged rows."""
     return folder / f"{motor_id}.arrow"
 
 
@@ -191,7 +191,7 @@ class Publisher:
         self._publish([partial(self._changed, table, label, change)])
 
     def _with_staged(self, table: Table, label: str, staged: Mapping[str, Staged]) -> NewFile:
-        """The file with the staged rows that go into it."""
+        """Return the file with the staged rows that go into it."""
         rows, done = read_staged(table, staged, self.run_id)
         return self._changed(table, label, partial(_with_rows, table, rows, replaced=done))
 
@@ -213,13 +213,13 @@ class Publisher:
             self._publish([partial(self._changed, table, label, change)])
 
     def _changed(self, table: Table, label: str, change: Change) -> NewFile:
-        """A file with other rows."""
+        """Return a file with other rows."""
         path = labelled_file(self.state.output, table, label)
         before, rows = self._present(path, table)
         return _new_file(path, change(rows), before)
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
-        """SHA-256 and rows of a file that is there; no rows are added to a damaged one."""
+        """Return SHA-256 and rows of a file that is there; no rows are added to a damaged one."""
         file = verify_file(self.state, name_of(self.state.output, path))
         if file.fault is not None:
             if file.fault.code == "table_altered":
@@ -256,7 +256,7 @@ class Publisher:
 
 
 def _new_file(path: Path, rows: pl.DataFrame, before: str) -> NewFile:
-    """A file with some rows; where none is there, and none is to come, none is made."""
+    """Return a file with some rows; where none is there, and none is to come, none is made."""
     if before == NO_FILE and rows.is_empty():
         return NewFile(path, None)
     content = as_parquet(rows)

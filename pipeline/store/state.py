@@ -85,7 +85,7 @@ class State:
         self._connection = connection
 
     def rows(self, query: str, *values: Any) -> list[tuple[Any, ...]]:
-        """Rows of a query; raises StoreError (``store_read``)."""
+        """Return rows of a query; raises StoreError (``store_read``)."""
         with _errors("store_read"):
             return self._connection.execute(query, values).fetchall()
 
@@ -100,7 +100,7 @@ class State:
             self._connection.executemany(statement, rows)
 
     def meta(self, name: str) -> str:
-        """A value by its name; empty where there is none."""
+        """Return a value by its name; empty where there is none."""
         found = self.rows("SELECT value FROM meta WHERE name = ?", name)
         return str(found[0][0]) if found else ""
 
@@ -250,12 +250,12 @@ def _is_older(output: Path, newest_run: str) -> bool:
 
 
 def is_sound(output: Path) -> bool:
-    """True for a state file that SQLite finds whole, and where there is none."""
+    """Return True for a state file that SQLite finds whole, and where there is none."""
     return _version_of(output / STATE_FILE) is not None
 
 
 def _version_of(place: Path) -> int | None:
-    """Version of a file; 0 where there is none or an empty one, None where it is damaged.
+    """Return version of a file; 0 where there is none or an empty one, None where it is damaged.
 
     Raises StoreError (``store_newer``).
     """

@@ -41,7 +41,7 @@ DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def existing_tables(output: Path) -> Path:
-    """Folder of all tables.
+    """Return folder of all tables.
 
     Raises UsageError (``no_tables``) if there are none.
     """
@@ -52,12 +52,12 @@ def existing_tables(output: Path) -> Path:
 
 
 def table_folder(output: Path, table: Table) -> Path:
-    """Folder of a table."""
+    """Return folder of a table."""
     return output / "tables" / table.name
 
 
 def whole_file(output: Path, table: Table) -> Path:
-    """File of a table that is one file."""
+    """Return file of a table that is one file."""
     return table_folder(output, table) / f"{table.name}{ENDING}"
 
 
@@ -67,17 +67,17 @@ def label_of(table: Table, night: dt.date) -> str:
 
 
 def labelled_file(output: Path, table: Table, label: str) -> Path:
-    """File of a night, YYYY-MM-DD, or of a month, YYYY-MM."""
+    """Return file of a night, YYYY-MM-DD, or of a month, YYYY-MM."""
     return table_folder(output, table) / f"{MONTH_PREFIX}{label[:7]}" / f"{label}{ENDING}"
 
 
 def night_file(output: Path, table: Table, night: dt.date) -> Path:
-    """File that has a night."""
+    """Return file that has a night."""
     return labelled_file(output, table, label_of(table, night))
 
 
 def name_of(output: Path, path: Path) -> str:
-    """Path of a file relative to the folder of the tables, as the state file names it."""
+    """Return path of a file relative to the folder of the tables, as the state file names it."""
     return path.relative_to(output / "tables").as_posix()
 
 
@@ -108,7 +108,7 @@ def is_named_as_ours(path: Path) -> bool:
 
 
 def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = None) -> list[Path]:
-    """Files of a table in time order: all, or those that may have some nights.
+    """Return files of a table in time order: all, or those that may have some nights.
 
     Files of other names are left out.
     """
@@ -134,7 +134,7 @@ def _listed(folder: Path) -> list[Path]:
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
-    """Nights of a table, the newest first; one with a file of its own may have no rows."""
+    """Yield nights of a table, the newest first; one with a file of its own may have no rows."""
     for path in reversed(files_of(output, table)):
         if len(path.stem) > len("2026-02"):
             yield dt.date.fromisoformat(path.stem)
@@ -144,7 +144,7 @@ def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
 
 @lru_cache(maxsize=512)
 def _nights_in(path: Path, table: Table, _: int) -> tuple[dt.date, ...]:
-    """Nights of a file that was last changed at a time; a process asks for each motor."""
+    """Return nights of a file that was last changed at a time; a process asks for each motor."""
     nights = read_table(path, table, columns=("night",))["night"]
     return tuple(nights.drop_nulls().unique().sort(descending=True))
 
@@ -155,7 +155,7 @@ def read_table(
     columns: Sequence[str] = (),
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file: all or some columns, with wanted values in others."""
+    """Return rows of a table file: all or some columns, with wanted values in others."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -185,7 +185,7 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
 
 
 def as_parquet(rows: pl.DataFrame) -> bytes:
-    """Rows as the bytes of a Parquet file."""
+    """Return rows as the bytes of a Parquet file."""
     stream, rows = pa.BufferOutputStream(), rows.rechunk()
     schema = rows.clear().to_arrow(compat_level=OF_ARROW).schema
     with pq.ParquetWriter(
@@ -212,7 +212,7 @@ def from_parquet(
     columns: Sequence[str] = (),
     wanted: Mapping[str, Collection[Any]] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table file's content, as `read_table`."""
+    """Return rows of a table file's content, as `read_table`."""
     schema = table.schema
     chosen = list(columns or schema)
     read = {name: schema[name] for name in dict.fromkeys((*chosen, *(wanted or ())))}
@@ -240,7 +240,7 @@ def from_parquet(
 
 
 def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[Any]) -> bool:
-    """Whether a row group may have one of some values in a column; each has one leaf."""
+    """Return whether a row group may have one of some values in a column; each has one leaf."""
     if file.num_row_groups == 1:
         return True
     column = file.metadata.row_group(place).column(file.schema_arrow.get_field_index(name))
@@ -268,7 +268,7 @@ def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:
 
 
 def damaged(path: Path, table: Table, error: BaseException | str) -> StoreError:
-    """The error of a damaged file."""
+    """Return the error of a damaged file."""
     strerror = error.strerror if isinstance(error, OSError) else None
     how = f"cannot be read: {strerror}" if strerror else f"is damaged: {error}"
     return StoreError("store_read", f"{path.name} of {table.name} {how}")

@@ -36,7 +36,7 @@ def write_views(output: Path) -> None:
 
 
 def _view(output: Path, table: Table) -> str:
-    """Statement that makes a table's view; one without a file yet has no rows."""
+    """Return statement that makes a table's view; one without a file yet has no rows."""
     files = f"{table_folder(Path(), table).as_posix()}/**/*{ENDING}"
     how = "union_by_name = true, hive_partitioning = false"
     rows = f"SELECT * FROM read_parquet('{files}', {how})"
@@ -47,7 +47,7 @@ def _view(output: Path, table: Table) -> str:
 
 
 def _columns(table: Table) -> Iterator[tuple[str, str]]:
-    """Columns of a table with DuckDB's names of their types."""
+    """Yield columns of a table with DuckDB's names of their types."""
     for name, kind in table.schema.items():
         yield f'"{name}"', _type(kind)
 
@@ -61,7 +61,7 @@ def _type(kind: object) -> str:
 
 
 def _comments(tables: Iterable[Table]) -> Iterator[str]:
-    """Statements with the words of the dictionary, for views that are there."""
+    """Yield statements with the words of the dictionary, for views that are there."""
     for table in tables:
         yield f"COMMENT ON VIEW {table.name} IS {_text(f'One row is {table.row}')};"
         for column in table.columns:
@@ -71,5 +71,5 @@ def _comments(tables: Iterable[Table]) -> Iterator[str]:
 
 
 def _text(words: str) -> str:
-    """A text of SQL."""
+    """Return a text of SQL."""
     return "'" + words.replace("'", "''") + "'"

@@ -92,7 +92,7 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
 
 
 def differences(expected: Mapping[str, str], folders: Sequence[Path] = ()) -> str:
-    """The differences of this process from what a run needs, in words."""
+    """Return the differences of this process from what a run needs, in words."""
     own = own_versions()
     found = [
         f"{name} is {own[name]} there and {wanted} here"
@@ -110,7 +110,7 @@ def own_versions() -> Mapping[str, str]:
 
 
 def _code_hash() -> str:
-    """Hash of the sources: two checkouts may differ under one version number."""
+    """Return hash of the sources: two checkouts may differ under one version number."""
     digest = hashlib.sha256()
     for package in ("leakage", "pipeline"):
         root = Path(str(files(package)))
@@ -145,7 +145,7 @@ def _tried(
     function: Callable[[Any], Any],
     tasks: Iterable[Any],
 ) -> Iterator[tuple[Any, Any]]:
-    """Each task with what came of it, as they finish; never more than stated under way.
+    """Yield each task with what came of it, as they finish; never more than stated under way.
 
     Raises StoreError if what a task staged cannot be written.
     """
@@ -177,7 +177,7 @@ def _tried(
 
 
 def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Future[Any] | None:
-    """The next task that ended, however it did; None where none can end any more."""
+    """Return the next task that ended, however it did; None where none can end any more."""
     until = time.monotonic() + wait_s
     while client.status == "running" and time.monotonic() < until:
         with suppress(Empty):

@@ -90,7 +90,7 @@ class Workers:
         lost: Callable[[Task, Loss], Result],
         without: Callable[[Task, Loss], Task | None] = lambda *_: None,
     ) -> Iterator[Result]:
-        """Results of tasks as they finish, in any order.
+        """Yield results of tasks as they finish, in any order.
 
         One that was lost may have been so by its neighbour: it is tried again when all others are
         done, with nothing beside it. If it is lost again, what it was lost in is left out.
@@ -218,7 +218,7 @@ class Pool:
         return {*marks}, Loss(code, how, mark.part, log_name)
 
     def _marks(self) -> Iterator[tuple[int, Mark]]:
-        """Marks of workers by their process."""
+        """Yield marks of workers by their process."""
         for place in self.folder.glob("*.mark"):
             with suppress(ValueError, OSError):
                 line = place.read_bytes().partition(b"\n")[0]

@@ -119,7 +119,7 @@ def attempt(function: Callable[[Task], Result], task: Task) -> Result | Loss:
 
 
 def loss_of(error: BaseException) -> Loss:
-    """The loss by an error that nobody foresaw."""
+    """Return the loss by an error that nobody foresaw."""
     how = f"{type(error).__name__}: {error}"
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
@@ -165,7 +165,7 @@ def _write(mark: Mark) -> None:
 
 
 def _words() -> str:
-    """What a worker has said since it was asked last."""
+    """Return what a worker has said since it was asked last."""
     if _file is None:
         return ""
     words = os.pread(2, os.fstat(2).st_size, 0)
@@ -180,6 +180,6 @@ def _thread_pools() -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: workers are as many as there are cores."""
+    """Return linear algebra on one thread: workers are as many as there are cores."""
     limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
     return limited
