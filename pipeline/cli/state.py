@@ -158,7 +158,7 @@ def _run_line(found: FleetStatus) -> str | None:
 
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
-    """Cells of `LONG_COLUMNS`."""
+    """Return cells of `LONG_COLUMNS`."""
     from pipeline.report.words import figure
 
     row = motor.row

@@ -113,7 +113,7 @@ class TransportDelay(Section):
         return self.fixed_s is None and self.line_length_m is None
 
     def of_all_inputs(self, delay_s: float) -> TransportDelay:
-        """The same with a delay of the drain flow against all inputs."""
+        """Return the same with a delay of the drain flow against all inputs."""
         return self.model_copy(update={"fixed_s": delay_s})
 
     @property

@@ -243,7 +243,9 @@ def nights_before(
     ]
     length_s = float(np.median(apart)) if apart else 0.0
     merged = max(1, round(length_s / BLOCK_S))
-    rows = [{COLUMNS[name]: value for name, value in _readings(blocks).items()} for blocks in nights]
+    rows = [
+        {COLUMNS[name]: value for name, value in _readings(blocks).items()} for blocks in nights
+    ]
     return NightsBefore(watch, watch_columns, merged, usual_readings(rows[-USUAL_NIGHTS:]))
 
 

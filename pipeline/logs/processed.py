@@ -194,14 +194,14 @@ def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
 
 
 def _stored(value: Any) -> Any:
-    """A value of a record as its column has it."""
+    """Return a value of a record as its column has it."""
     if isinstance(value, Mapping):
         return json.dumps(value, default=methodcaller("isoformat"))
     return " ".join(value) if isinstance(value, tuple) else value
 
 
 def _row_of(motor_id: str, night: dt.date, text: str) -> dict[str, Any]:
-    """A night's own columns of `nights`, as they were before they were stored."""
+    """Return a night's own columns of `nights`, as they were before they were stored."""
     row: dict[str, Any] = json.loads(text) | {"motor_id": motor_id, "night": str(night)}
     for name, value in row.items():
         if value is not None and NIGHTS.schema[name] in OF_TIME:
@@ -225,7 +225,7 @@ def note_published(state: State, motor_id: str, last: dt.date) -> None:
 
 
 def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSpec:
-    """A motor as its nights decided, by what its last run left beside its settings."""
+    """Return a motor as its nights decided, by what its last run left beside its settings."""
     known = settings or {}
     is_free = bool(known.get(ROLLER, {}).get("is_free"))
     return spec.decided(known.get(DRAIN_DELAY), roller_is_free=is_free)

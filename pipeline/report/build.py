@@ -21,7 +21,7 @@ from pipeline.errors import StoreError
 from pipeline.messages import plain
 from pipeline.notification.outbox import backlogs
 from pipeline.notification.receivers import receivers_of
-from pipeline.report.charts import night_chart, watch_chart
+from pipeline.report.charts import night_chart, residual_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span, overlay
 from pipeline.report.pages import FOLDER, page_of
@@ -243,8 +243,13 @@ def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str,
     listed = {table.name: rows.get(table.name, none).to_dicts() for table in EXPLAINED}
     mode = listed["nights"][0]["flushing_mode"]
     samples = rows.get("predictions", frame(PREDICTIONS, [])).filter(flushing_mode=mode)
-    chart = figure(night_chart(samples))
-    return {"night": str(night), "words": paragraphs(listed), "figure": chart}
+    tests = [row for row in listed["residual_tests"] if row["flushing_mode"] == mode]
+    return {
+        "night": str(night),
+        "words": paragraphs(listed),
+        "figure": figure(night_chart(samples)),
+        "residuals": figure(residual_chart(tests)),
+    }
 
 
 def _make_pages(

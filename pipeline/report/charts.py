@@ -24,7 +24,8 @@ from pipeline.trends.nights.decisions import LEAKAGE
 from pipeline.trends.rows.alarm_rows import what_of
 from pipeline.trends.sentences import DATED, cause_words
 
-Times = NDArray[np.datetime64]
+# Times of a chart, or lags [s].
+Times = NDArray[np.datetime64] | Array
 Row = Mapping[str, Any]
 
 BLUE, VERMILION, ORANGE = COLOURS[0], COLOURS[1], COLOURS[4]
@@ -86,7 +87,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Panels on one axis of time; none: there is nothing to show."""
+    """Panels on one axis of time, or of lags in seconds; none: there is nothing to show."""
 
     time: Times
     panels: tuple[Panel, ...]
@@ -146,6 +147,32 @@ def night_chart(samples: pl.DataFrame) -> Chart:
     ):
         panels.append(Panel(title, unit, (Line(title, column(name)),), height=80))
     return Chart(time, _shown(panels))
+
+
+def residual_chart(tests: Iterable[Row]) -> Chart:
+    """Correlations of the errors lag by lag with their 99 % bands: equations (27) and (26).
+
+    `tests` are rows of `residual_tests` of a fit; those of validation count where there are any.
+    """
+    drawn = [row for row in tests if row["lags_s"]]
+    part = VALIDATION if any(row["part"] == VALIDATION for row in drawn) else TRAINING
+    rows = [row for row in drawn if row["part"] == part]
+    lags: list[float] = max((row["lags_s"] for row in rows), key=len, default=[])
+    panels = []
+    for row in rows:
+        # Errors have no later errors that are earlier.
+        empty = [None] * (len(lags) - len(row["lags_s"]))
+        value, bound = (
+            np.array([*empty, *row[name]], dtype=np.float64) for name in ("correlations", "bounds")
+        )
+        what = "themselves" if row["test"] == "whiteness" else plain(row["input"])
+        lines = (
+            Line("99 % band from", -bound, GREY, dash="dot"),
+            Line("to", bound, GREY, dash="dot"),
+            Line("correlation", value, symbol="circle"),
+        )
+        panels.append(Panel(f"Errors with {what}: {row['verdict']}", "", lines, height=80))
+    return Chart(np.array(lags, dtype=np.float64), _shown(panels))
 
 
 def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:

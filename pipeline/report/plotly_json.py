@@ -80,13 +80,17 @@ def figure(chart: Chart) -> Payload:
         layout["yaxis8"] = hidden | {"range": [0, 1]}
         traces.append(_mark_trace(chart.marks))
     layout["xaxis"] = {
-        "type": "date",
         "tickangle": 0,
         "nticks": 6,
         "anchor": f"y{len(heads) if len(heads) > 1 else ''}",
     }
+    if chart.time.dtype.kind == "f":
+        layout["xaxis"]["title"] = {"text": "lag, s: above 0 the error comes later"}
+        layout["height"] += LETTER_HEIGHT
+        layout["margin"] = MARGIN | {"b": MARGIN["b"] + LETTER_HEIGHT}
+        return {"x": chart.time.tolist(), "data": traces, "layout": layout}
     ranges = _ranges(chart)
-    layout["xaxis"]["range"] = ranges["all"]
+    layout["xaxis"] |= {"type": "date", "range": ranges["all"]}
     return {"x": list(map(str, chart.time)), "data": traces, "layout": layout, "ranges": ranges}
 
 
@@ -113,7 +117,8 @@ def safe(name: str) -> str:
 
 def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
     marks = bool(line.symbol) and int(np.isfinite(line.value).sum()) <= MARKED
-    day = "%Y-%m-%d" if chart.time.dtype == np.dtype("datetime64[D]") else "%Y-%m-%d %H:%M:%S"
+    form = "|%Y-%m-%d" if chart.time.dtype == np.dtype("datetime64[D]") else "|%Y-%m-%d %H:%M:%S"
+    form = ":.4g" if chart.time.dtype.kind == "f" else form
     trace: Payload = {
         "type": "scatter",
         "mode": "lines+markers" if marks else "lines",
@@ -122,7 +127,7 @@ def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
         "yaxis": axis,
         "line": {"color": line.colour, "width": 1.4, "dash": "solid" if marks else line.dash},
         "marker": {"color": line.colour, "size": 5, "symbol": line.symbol or "circle"},
-        "hovertemplate": f"%{{x|{day}}}: %{{y:.4g}} {panel.unit}<extra>{safe(line.name)}</extra>",
+        "hovertemplate": f"%{{x{form}}}: %{{y:.4g}} {panel.unit}<extra>{safe(line.name)}</extra>",
     }
     if line.time is not None:
         trace["x"] = list(map(str, line.time))
@@ -133,7 +138,7 @@ def _trace(line: Line, panel: Panel, axis: str, chart: Chart) -> Payload:
             in_percent(*ends) if all(map(math.isfinite, ends)) else ""
             for ends in np.column_stack([line.value, line.lower, line.upper]).tolist()
         ]
-        words = f"%{{x|{day}}}: %{{customdata}}<extra>{safe(line.name)}</extra>"
+        words = f"%{{x{form}}}: %{{customdata}}<extra>{safe(line.name)}</extra>"
         return trace | {"hovertemplate": words}
     ends = {"array": line.upper - line.value, "arrayminus": line.value - line.lower}
     trace["error_y"] = {name: numbers(end) for name, end in ends.items()}

@@ -49,7 +49,7 @@ const motorLeakage = (() => {
     return made;
   }
 
-  function show({ night, words, figure }) {
+  function show({ night, words, figure, residuals }) {
     byId("said").textContent = "";
     byId("words").replaceChildren(
       ...words.flatMap(([title, lines]) => [
@@ -58,9 +58,10 @@ const motorLeakage = (() => {
       ]),
     );
     draw("samples", figure);
+    draw("residuals", residuals);
     document.body.dataset.night = night;
   }
-  const fail = (why) => show({ night: wanted, words: [["", [why]]], figure: {} });
+  const fail = (why) => show({ night: wanted, words: [["", [why]]], figure: {}, residuals: {} });
 
   function choose(night) {
     wanted = night;

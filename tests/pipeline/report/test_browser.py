@@ -107,7 +107,7 @@ def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, told: Pa
     visit(browser, told / "motors" / f"{WORN}.html")
     wait(browser, NIGHT)
     # The leakage has three of five: on the right the axis of l/min, and one of the marks.
-    for name, n_panels in (("course", 5), ("samples", 4)):
+    for name, n_panels in (("course", 5), ("samples", 4), ("residuals", 4)):
         chart = browser.find_element(By.ID, name)
         assert chart.get_dom_attribute("data-drawn") == "chart"
         assert len(chart.find_elements(By.CSS_SELECTOR, ".cartesianlayer > .subplot")) == n_panels

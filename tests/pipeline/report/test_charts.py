@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.report.charts import night_chart
+from pipeline.report.charts import night_chart, residual_chart
 from pipeline.report.pages import page_of
-from pipeline.report.plotly_json import numbers, script_json
-from pipeline.schema import PREDICTIONS
+from pipeline.report.plotly_json import figure, numbers, script_json
+from pipeline.schema import PREDICTIONS, RESIDUAL_TESTS
 from pipeline.store.tables import night_file, read_table
 
 
@@ -28,6 +28,22 @@ def test_a_line_is_broken_where_samples_are_missing(fitted_output: Path) -> None
     *_, speed = night_chart(pl.concat([even[:30], even[80:]])).panels
     assert np.flatnonzero(np.isnan(speed.lines[0].value)).tolist() == [30]
     assert night_chart(rows.clear()).panels == ()
+
+
+def test_correlations_of_the_errors_are_drawn_lag_by_lag(fitted_output: Path) -> None:
+    path = night_file(fitted_output, RESIDUAL_TESTS, dt.date(2026, 1, 3))
+    rows = read_table(path, RESIDUAL_TESTS).filter(motor_id="CB560-02", part="validation")
+    chart = residual_chart(rows.to_dicts())
+    assert len(chart.panels) == 4
+    for panel, row in zip(chart.panels, rows.to_dicts(), strict=True):
+        assert row["verdict"] in panel.title
+        first = 51 - len(row["lags_s"])
+        drawn = {line.name: line.value[first:] for line in panel.lines}
+        assert chart.time[first:].tolist() == row["lags_s"]
+        assert drawn["correlation"].tolist() == row["correlations"]
+        assert numbers(drawn["to"]) == numbers(np.array(row["bounds"], dtype=np.float64))
+    assert figure(chart)["x"][0] == -figure(chart)["x"][-1]
+    assert residual_chart([]).panels == ()
 
 
 def test_undelivered_alarms_are_shown() -> None:
