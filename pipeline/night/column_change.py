@@ -13,8 +13,9 @@ a temperature may be, too. It is another unit where two of three signs say so:
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from functools import cache, partial
 from itertools import chain, combinations
 from statistics import median
 from typing import Any
@@ -49,6 +50,8 @@ CHARGED_BAR = 5.0
 # Nights before that say what is usual, and how many of them are needed.
 USUAL_NIGHTS, FEWEST_USUAL = 7, 3
 
+ModelFlow = Callable[[float, float, float], float | None]
+
 
 def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
     """Means of the channels in a row of `nights`; empty where one is not known."""
@@ -77,14 +80,16 @@ def column_change(
     """
     if min(means[name] for means in (usual, now) for name in COLUMNS) <= 0.0:
         return None
-    return next(chain(_swapped(usual, now), _other_unit(spec, usual, now)), None)
+    # Of all units that a flow may be in, the model's flow is the same.
+    model_flow = cache(partial(_model_flow, spec))
+    return next(chain(_swapped(usual, now), _other_unit(spec, model_flow, usual, now)), None)
 
 
-def _model_flow(spec: MotorSpec, means: Mapping[str, float]) -> float | None:
+def _model_flow(
+    spec: MotorSpec, pressure_bar: float, temperature_c: float, speed_rpm: float
+) -> float | None:
     """Return the flow of the configured model at mean conditions, or None where it has none."""
-    conditions = OperatingConditions.from_bar(
-        means[DIFFERENCE], means["oil_temperature"], means["speed"]
-    )
+    conditions = OperatingConditions.from_bar(pressure_bar, temperature_c, speed_rpm)
     with suppress(LeakageError):
         motor = spec.motor(dt.date.max, spec.file.flushing.mode)
         return float(total_flow_l_per_min(motor, conditions)[0])
@@ -107,7 +112,7 @@ def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[s
 
 
 def _other_unit(
-    spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
+    spec: MotorSpec, model_flow: ModelFlow, usual: Mapping[str, float], now: Mapping[str, float]
 ) -> Iterator[str]:
     channels = {str(name): channel for name, channel in spec.file.channels.items()}
     for name in (name for name in OF_ONE_UNIT if _is_known(name, usual, now)):
@@ -118,7 +123,7 @@ def _other_unit(
             reading = _in_unit(name, now[name], configured.unit, unit)
             is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
             is_other = reading > 0.0 and is_unusual and _factor(reading, now[name]) > FAR
-            if is_other and _signs(spec, name, reading, usual, now) >= SIGNS:
+            if is_other and _signs(model_flow, name, reading, usual, now) >= SIGNS:
                 yield (
                     f"unit changed? {_changed(name, usual, now)}: as before if the log is now in "
                     f"{unit} where the config has {configured.unit}"
@@ -135,7 +140,7 @@ def _in_unit(name: str, value: float, configured: str, unit: str) -> float:
 
 
 def _signs(
-    spec: MotorSpec,
+    model_flow: ModelFlow,
     name: str,
     reading: float,
     usual: Mapping[str, float],
@@ -143,7 +148,7 @@ def _signs(
 ) -> int:
     """Return how many signs there are that a reading is the right one of a channel."""
     right = _with_reading(name, reading, now)
-    before, found, mended = (_relation(spec, means) for means in (usual, now, right))
+    before, found, mended = (_relation(model_flow, means) for means in (usual, now, right))
     off, left = _factor(found, before), _factor(mended, before)
     if name != FLOW:
         left_of_range = _beyond(name, reading, usual)
@@ -176,9 +181,11 @@ def _difference_of(name: str) -> str:
     return DIFFERENCE if name in PORT_PRESSURES else name
 
 
-def _relation(spec: MotorSpec, means: Mapping[str, float]) -> float:
+def _relation(model_flow: ModelFlow, means: Mapping[str, float]) -> float:
     """Return the flow over that of the configured model; the flow where it has none."""
-    return means[FLOW] / (_model_flow(spec, means) or 1.0)
+    return means[FLOW] / (
+        model_flow(means[DIFFERENCE], means["oil_temperature"], means["speed"]) or 1.0
+    )
 
 
 def _is_usual(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> bool:
