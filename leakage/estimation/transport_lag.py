@@ -68,8 +68,10 @@ def transport_lag(
     chosen = np.linspace(0, len(index) - 1, min(len(index), MOST_SAMPLES)).astype(np.int64)
     zero = -round(paired_s / period_s)
 
+    y, u = _standardised(flow), _standardised(drivers)
+
     def explained(lag: int) -> float:
-        return _explained(flow, drivers, place, index, chosen, lag)
+        return _explained(y, u, place, index, chosen, lag)
 
     coarse, fine = (max(round(step_s / period_s), 1) for step_s in (COARSE_S, FINE_S))
     shares = {lag: explained(lag) for lag in range(zero - longest, zero + longest + 1, coarse)}
@@ -86,6 +88,12 @@ def transport_lag(
     return TransportLag(lag_s, here - shares[zero] if zero in shares else here - explained(zero))
 
 
+def _standardised(values: Array) -> Array:
+    """Return values less their mean and over their spread, by column; what rests is 0."""
+    spread = values.std(axis=0)
+    return (values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+
+
 def _explained(
     flow: Array, drivers: Array, place: Places, index: Places, chosen: Places, lag: int
 ) -> float:
@@ -96,14 +104,13 @@ def _explained(
     paired = partner >= 0
     if np.count_nonzero(paired) < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
         return 0.0
-    y, u = flow[chosen[paired]], drivers[partner[paired]]
-    y, u = y - y.mean(), u - u.mean(axis=0)
-    spread = np.sqrt((u**2).mean(axis=0))
-    u = u / np.where(spread > 0.0, spread, 1.0)
-    total = float(y @ y)
+    y, u = flow[chosen[paired]], drivers.take(partner[paired], axis=0)
+    means, mean = u.mean(axis=0), y.mean()
+    total = float(y @ y - len(y) * mean**2)
     if total <= 0.0:
         return 0.0
     # Of a motor at one load the drivers are nearly one and the same.
-    products = u.T @ y
-    theta = np.linalg.lstsq(u.T @ u, products, rcond=1e-9)[0]
+    products = u.T @ y - len(y) * mean * means
+    squares = u.T @ u - len(y) * np.outer(means, means)
+    theta = np.linalg.lstsq(squares, products, rcond=1e-9)[0]
     return float(products @ theta) / total
