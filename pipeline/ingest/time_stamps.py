@@ -31,6 +31,8 @@ Numbers = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 _EPOCH, _MICROSECOND = datetime(1970, 1, 1), timedelta(microseconds=1)
 _MINUTE_US = 60 * 1_000_000
 _STEP_BACK_US = 30 * 60 * 1_000_000
+# Share of repeated stamps in an hour that comes twice, of a file sorted by time.
+_IN_PAIRS = 0.45
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - _EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
 _NONE, _LOCAL, WITH_ZONE = 0, 1, 2
@@ -223,8 +225,9 @@ def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
     """All stamps of a log in UTC, in their order; local ones are on the clocks of the zone.
 
     Where a clock change gives an hour twice, stamps belong to its first pass until they step back
-    by half an hour or more, then to the second. Stamps in an hour that the change leaves out are
-    not readable, and counted.
+    by half an hour or more, then to the second; of a file sorted by time, in which they stand in
+    pairs, the later ones do. Stamps in an hour that the change leaves out are not readable, and
+    counted.
 
     Examples
     --------
@@ -277,9 +280,15 @@ def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64],
 
 
 def _on_second_pass(local: NDArray[np.int64], ambiguous: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True where an hour that comes twice has stepped back since it began."""
+    """True where an hour that comes twice has stepped back since it began, or a stamp in it."""
     if not ambiguous.any():
         return ambiguous
-    steps_back = np.cumsum((np.diff(local, prepend=local[0]) < -_STEP_BACK_US) & ambiguous)
+    steps_us = np.diff(local, prepend=local[0])
+    repeated = steps_us == 0
+    repeated[0] = False
+    shares = [np.mean(repeated[of]) if of.any() else 1.0 for of in (ambiguous, ~ambiguous)]
+    if shares[0] >= _IN_PAIRS and shares[1] <= 1.0 - 2.0 * _IN_PAIRS and steps_us.min() >= 0:
+        return np.asarray(ambiguous & repeated)
+    steps_back = np.cumsum((steps_us < -_STEP_BACK_US) & ambiguous)
     before_run = np.maximum.accumulate(np.where(ambiguous, 0, steps_back))
     return np.asarray(ambiguous & (steps_back > before_run))

@@ -28,6 +28,7 @@ from pipeline.night.masks import (
     frozen,
     out_of_range,
     spike,
+    stretches,
 )
 from pipeline.night.time_order import SharedStamps, Steps, carried_over, corrected, samples_of
 
@@ -37,6 +38,33 @@ HAMPEL_WINDOW, HAMPEL_THRESHOLD = 11, 5.0
 GAP_SAMPLE_PERIODS = 5.0
 
 Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """Standstills of the motor."""
+
+    # First and last sample of each [µs], shape (n,).
+    begins_us: Times
+    ends_us: Times
+
+    @classmethod
+    def of(cls, speed: CleanChannel, standstill_rpm: float) -> Rests:
+        """Standstills by the clean samples of the speed."""
+        at_rest = ~speed.refused & (np.abs(speed.value) < (1.0 - ROUNDING) * standstill_rpm)
+        begins, ends = stretches(at_rest)
+        return cls(speed.time_us[begins], speed.time_us[ends - 1])
+
+    def hold(self, time_us: Times) -> Mask:
+        """Times that lie within one, shape (m,)."""
+        if not len(self.begins_us):
+            return np.zeros(len(time_us), dtype=np.bool_)
+        last = self.begins_us.searchsorted(time_us, "right") - 1
+        inside: Mask = (last >= 0) & (time_us <= self.ends_us[last])
+        return inside
+
+
+NO_RESTS = Rests(np.empty(0, np.int64), np.empty(0, np.int64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +100,13 @@ def clean_channel(
     rules: ChannelRules,
     night_start_us: int | None = None,
     stamps: SharedStamps | None = None,
+    rests: Rests = NO_RESTS,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
     Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
     no rule counts it; None: all samples are of the night. `stamps` has those of the channel before,
-    which may be the same.
+    which may be the same; `rests` are the motor's standstills, in which nothing need move.
     """
     stamps = stamps or SharedStamps()
     early, here = None, raw
@@ -113,7 +142,7 @@ def clean_channel(
         steps = steps.with_period(time)
     gaps = steps.longer_than(longest_gap_us, time)
     credible = ~reduce(np.logical_or, masks.values())
-    course = _course(time, value, credible, gaps, longest_gap_us, rules, steps.period_us)
+    course = _course(time, value, credible, gaps, longest_gap_us, rules, steps.period_us, rests)
     masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
@@ -183,6 +212,7 @@ class Course:
     rules: ChannelRules  # the channel's limits
     # Step of the readings: stated, of a counter's periods, or as the readings show it.
     resolution: float
+    rests: Rests = NO_RESTS
 
 
 def _course(
@@ -193,13 +223,14 @@ def _course(
     longest_gap_us: float,
     rules: ChannelRules,
     period_us: float | None,
+    rests: Rests,
 ) -> Course:
     """Return the credible samples with the gaps between them and their resolution."""
     rows = chosen_rows(credible)
     kept_us, readings = time_us[rows], value[rows]
     borders = _borders(kept_us, gaps, np.flatnonzero(~credible), longest_gap_us)
     stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
-    return Course(kept_us, readings, borders, rules, stated or step_of_readings(readings))
+    return Course(kept_us, readings, borders, rules, stated or step_of_readings(readings), rests)
 
 
 def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
@@ -232,6 +263,7 @@ def _stuck(course: Course) -> Mask:
         counts = rules.sampling.counts
         still = course.value[stuck]
         stuck[stuck] = (still == 0.0) if counts else np.abs(still) >= at_rest_below
+        stuck &= ~course.rests.hold(course.time_us)
     return stuck
 
 

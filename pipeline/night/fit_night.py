@@ -19,7 +19,7 @@ from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules, means_too_long
-from pipeline.night.cleaning import clean_channel
+from pipeline.night.cleaning import Rests, clean_channel
 from pipeline.night.drain_lag import lag_columns
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.rows import Row, Rows, fit_rows, night_row, of_fit, unfitted_row
@@ -162,9 +162,13 @@ def clean_channels(
         if name != RUNNING_HOURS
     }
     stamps = SharedStamps()
-    # Each is taken out when it is its turn.
+    # Each is taken out when it is its turn, the speed first: it says when the motor stood still.
+    speed = clean_channel(channels.pop("speed"), rules["speed"], night.start_us, stamps)
+    rests = Rests.of(speed, cleaning.standstill_rpm)
     cleaned = {
-        name: clean_channel(channels.pop(name), rule, night.start_us, stamps)
+        name: speed
+        if name == "speed"
+        else clean_channel(channels.pop(name), rule, night.start_us, stamps, rests)
         for name, rule in rules.items()
     }
     counted = tuple(

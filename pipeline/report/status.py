@@ -105,7 +105,10 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
             yield f"{motor_id}: {counted(n, 'published night')} without a log any more"
     yield from _proposed_delays(output, settings)
     if any(failures.values()):
-        yield "a failed night: mend or remove its log, then fit-fleet --retry; or ack --night"
+        yield (
+            "a failed night: mend its log or the config, or remove the log, then fit-fleet "
+            "--retry; or ack --night"
+        )
 
 
 def _proposed_delays(output: Path, settings: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

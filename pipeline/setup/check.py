@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.arrays import SECOND_US
+from pipeline.clock import microseconds, now
 from pipeline.config import MotorSpec
 from pipeline.config.channels import ChannelName
+from pipeline.config.nights import night_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
@@ -20,7 +22,7 @@ from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import clean_channel
+from pipeline.night.cleaning import Rests, clean_channel
 from pipeline.schema.fits import DECIDING_NIGHTS, OK, agreed_lag
 from pipeline.setup.column_check import (
     Dated,
@@ -30,7 +32,7 @@ from pipeline.setup.column_check import (
     units_told,
     unused_qualities,
 )
-from pipeline.setup.extremes import repeated_extremes
+from pipeline.setup.extremes import jumps, repeated_extremes
 from pipeline.setup.forecast import NightForecast, forecasts
 from pipeline.setup.operation import night_of_log, operation, swapped
 from pipeline.setup.propose import LARGEST_LOG_BYTES
@@ -127,7 +129,11 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
             f"{len(names)} of {len(logs.names)} objects were opened, the first and the last by "
             f"name below {spec.log_url}: nights and channels are theirs"
         )
-    faults = (*broken, *absent, *column_changes(spec, dated, logs.path), *unfit)
+    faults = [*broken, *absent, *column_changes(spec, dated, logs.path), *unfit]
+    if not faults:
+        # Of a plant's first day there is nothing to mend.
+        unfitted = notes if _is_first_night(spec, records) else faults
+        unfitted += _no_night(forecast, n_nights=len(nights))
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
@@ -136,7 +142,7 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=faults or tuple(_no_night(forecast, n_nights=len(nights))),
+        faults=tuple(faults),
         placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
         channels=channels,
         forecast=forecast,
@@ -195,6 +201,15 @@ def _lag_notes(spec: MotorSpec, forecast: Sequence[NightForecast]) -> Iterator[s
         )
 
 
+def _is_first_night(spec: MotorSpec, records: Mapping[str, FileRecord]) -> bool:
+    """True where the motor has no night that is over: all its logs are still being written."""
+    current = night_of(microseconds(now()), spec.settings.nights)
+    return all(
+        record.status == "growing" or min(labels_of(record), default=current) >= current
+        for record in records.values()
+    )
+
+
 def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]:
     """The fault of a motor of which no night would be fitted."""
     if forecast and all(night.status != OK for night in forecast):
@@ -234,7 +249,12 @@ def _look_into(
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), [f"{error.code}: {error.message}"], []
-    found = tuple(_channel_check(spec, name, log.channels[name]) for name in spec.file.channels)
+    speed = log.channels["speed"]
+    clean = clean_channel(speed, _rules(spec, "speed"))
+    rests = Rests.of(clean, spec.settings.cleaning.standstill_rpm)
+    found = tuple(
+        _channel_check(spec, name, log.channels[name], rests) for name in spec.file.channels
+    )
     kept = night_of_log(spec, label, log)
     if kept and (changed := changed_readings(spec, dated, path_of, kept)):
         # What else is odd follows from it.
@@ -256,7 +276,8 @@ def _look_into(
     # What is refused mostly follows from the rest.
     faults = faults or [*_refused(found)]
     unused = unused_qualities(path_of(newest), spec.file)
-    return found, faults, [*notes, *filter(None, looks), *unused]
+    leaps = jumps(log.channels["oil_temperature"])
+    return found, faults, [*notes, *filter(None, looks), *leaps, *unused]
 
 
 def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
@@ -268,11 +289,16 @@ def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
             yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
 
 
-def _channel_check(spec: MotorSpec, name: ChannelName, raw: RawChannel) -> ChannelCheck:
+def _rules(spec: MotorSpec, name: ChannelName) -> ChannelRules:
     channel = spec.file.channels[name]
-    clean = clean_channel(
-        raw, ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
-    )
+    return ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+
+
+def _channel_check(
+    spec: MotorSpec, name: ChannelName, raw: RawChannel, rests: Rests
+) -> ChannelCheck:
+    channel = spec.file.channels[name]
+    clean = clean_channel(raw, _rules(spec, name), rests=rests)
     n = max(clean.n_samples, 1)
     kept = clean.value[~clean.refused]
     return ChannelCheck(

@@ -1,4 +1,4 @@
-"""Extreme values that stand again and again: what a device writes in place of a reading."""
+"""Values that are no readings: extremes that stand again and again, and jumps of the oil's heat."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pipeline.arrays import SECOND_US, Array, Mask, Times
+from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night.masks import near
@@ -15,6 +16,27 @@ from pipeline.units import FALLBACK_VALID_RANGE
 # An extreme value is none of a measurement where it comes in so many stretches of the log, and
 # lies so many times the spread of the others beyond them.
 FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
+
+
+# Oil does not change by so much between neighbouring samples that are so near; a single spike, which
+# jumps twice, is refused.
+JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 10.0, 10.0, 3
+
+
+def jumps(log: RawChannel) -> Iterator[str]:
+    """Yield that the oil's temperature jumps between neighbours."""
+    rows = np.flatnonzero(np.isfinite(log.value))
+    time_us, value = log.time_us[rows], log.value[rows]
+    is_near = np.abs(np.diff(time_us)) <= NEIGHBOURS_S * SECOND_US
+    places = np.flatnonzero((np.abs(np.diff(value)) >= JUMP_C) & is_near)
+    if len(places) >= FEWEST_JUMPS:
+        first = places[0]
+        yield (
+            f"oil_temperature jumps {len(places)} times by {JUMP_C:g} °C and more between "
+            f"neighbours, such as {value[first]:g} to {value[first + 1]:g} at "
+            f"{utc(time_us[first]):%Y-%m-%d %H:%M:%S} UTC, which no oil does: is the sensor loose, "
+            "or a column of quality not used?"
+        )
 
 
 def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:

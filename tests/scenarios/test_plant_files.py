@@ -457,6 +457,27 @@ def test_a_log_that_gives_no_fit_is_a_fault(
     assert words in found.err
 
 
+@covers("check")
+def test_on_its_first_day_a_motor_has_no_fault(tmp_path: Path) -> None:
+    """Four minutes of a log so far: too few for a fit, and nothing to mend; a day later it is."""
+    began = dt.datetime.now(dt.UTC) - dt.timedelta(minutes=5)
+    lines = plain(1).splitlines(keepends=True)[: 1 + 4 * 60]
+    so_far = [
+        f"{began + dt.timedelta(seconds=second):%Y-%m-%dT%H:%M:%SZ}{line[20:]}"
+        for second, line in enumerate(lines[1:])
+    ]
+    write(tmp_path, "w.csv", "".join((lines[0], *so_far)))
+    assert init(tmp_path).code == 0
+    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
+    assert (found.code, "no_night: of 1 night none would be fitted" in found.out) == (0, True)
+    yesterday = began - dt.timedelta(days=1)
+    text = (
+        (tmp_path / "logs" / "w.csv").read_text().replace(str(began.date()), str(yesterday.date()))
+    )
+    write(tmp_path, "w.csv", text)
+    assert run_command("check", "fleet/fleet.toml", folder=tmp_path).code == 1
+
+
 def test_a_motor_without_a_log_is_a_fault(tmp_path: Path) -> None:
     for name in ("A", "B"):
         write(tmp_path, f"{name}/{name}_2026-01-01.csv", plain(1))
@@ -479,6 +500,8 @@ def test_what_a_device_writes_for_no_reading_is_named(
     assert init(tmp_path).code == 0
     motor = checked(tmp_path)
     assert codes(motor) == {"extreme_repeated"}
+    jumps = [note for note in motor["notes"] if "oil_temperature jumps" in note]
+    assert len(jumps) == (at == 1)
     assert limit in motor["faults"][0]
 
 

@@ -211,6 +211,14 @@ def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back(
     assert np.any(np.diff(naive) < 0)
     stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
     np.testing.assert_array_equal(stamps.time_us, utc)
+    # Sorted by the clock on the wall, an hour's stamps stand in pairs.
+    paired = np.sort(us(start) + np.arange(0, 4 * 3600, 10, dtype=np.int64) * 1_000_000)
+    walls = [
+        (EPOCH + int(time) * MICROSECOND).astimezone(tz).replace(tzinfo=None) for time in paired
+    ]
+    naive = np.sort(np.array([us(wall.replace(tzinfo=UTC)) for wall in walls]))
+    stamps = placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone)
+    np.testing.assert_array_equal(np.sort(stamps.time_us), paired)
 
 
 def test_a_sample_out_of_order_is_not_the_second_pass_of_an_hour() -> None:
