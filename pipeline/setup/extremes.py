@@ -18,8 +18,8 @@ from pipeline.units import FALLBACK_VALID_RANGE
 FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
 
 
-# Oil does not change by so much between neighbouring samples that are so near; a single spike, which
-# jumps twice, is refused.
+# Oil does not change by so much between neighbouring samples that are so near; a single spike,
+# which jumps twice, is refused.
 JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 10.0, 10.0, 3
 
 
