@@ -43,7 +43,7 @@ def _hundred(folder: Path, name: str, passes: int) -> list[Row]:
     """Motors in a format with one worker and with two, beside just reading, in turns."""
     config = make_fleet(folder / "fleet", name, HUNDRED, DAY_MINUTES, RATE_HZ)
     output, logs = folder / "out", list(map(str, logs_of(config)))
-    fit = ["pipeline.cli", "fit-fleet", str(config), "--output", str(output), "--json", "--jobs"]
+    fit = ["pipeline.cli", "fit-fleet", str(config), "--output", str(output), "--jobs"]
     read = ["benchmarks.log_readers", name]
     cases = {
         "reading": ([*read, *logs[::2]], [*read, *logs[1::2]]),

@@ -91,7 +91,8 @@ def transport_lag(
 def _standardised(values: Array) -> Array:
     """Return values less their mean and over their spread, by column; what rests is 0."""
     spread = values.std(axis=0)
-    return (values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    standardised: Array = (values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    return standardised
 
 
 def _explained(
