@@ -69,10 +69,12 @@ def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
     named = {name for query in queries for name in re.findall(r"motor_leakage_\w+", query)}
     assert named == set(re.findall(r"^# TYPE (\w+)", metrics(), re.MULTILINE))
     # The curve of a motor: a figure, and a band between the ends of its interval.
-    (curve,) = (one for one in dashboard["panels"] if one["title"].startswith("Leakage of $motor"))
-    of = "motor_leakage_own_leakage_"
+    curve = dashboard["panels"][0]
+    assert curve["title"] == "Leakage of $motor against its baseline"
+    ends = [f"leakage_change_{end}" for end in ("percent", "lower", "upper")]
     assert [one["expr"] for one in curve["targets"]] == [
-        f'{of}{name}{{motor="$motor"}}' for name in ("l_per_min", "lower", "upper")
+        f'motor_leakage_{name}{{motor="$motor"}}'
+        for name in (*ends, "alarm_level_percent", "detection_limit_percent")
     ]
     bands = {
         one["matcher"]["options"]: one["properties"] for one in curve["fieldConfig"]["overrides"]

@@ -1,6 +1,7 @@
 """Make dashboard.json: the metrics of a fleet, and the curve of a motor, on a Grafana dashboard.
 
-Needs grafana-foundation-sdk: ``python dashboard.py``. Not tried in a Grafana.
+Needs grafana-foundation-sdk: ``python dashboard.py``. Not opened in a Grafana: its server is in no
+package index that the tests reach.
 """
 
 from pathlib import Path
@@ -12,17 +13,19 @@ from grafana_foundation_sdk.models.dashboard import DataSourceRef, DynamicConfig
 SOURCE = DataSourceRef(type_val="prometheus", uid="${source}")
 OF = "motor_leakage_"
 OF_MOTOR = '{motor="$motor"}'
-# Title, figure and ends of its interval, unit: the curve of the motor that is chosen.
+# Title, unit, figure, ends of its interval, and levels: the curve of the motor that is chosen.
 CURVES = (
     (
-        "Leakage of $motor at its own conditions",
-        ("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
-        "flowlpm",
+        "Leakage of $motor against its baseline",
+        "percent",
+        ("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+        {"alarm level": "alarm_level_percent", "ten nights show": "detection_limit_percent"},
     ),
     (
-        "Change of $motor against its baseline",
-        ("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
-        "percent",
+        "Leakage of $motor at its usual operating point",
+        "flowlpm",
+        ("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
+        {},
     ),
 )
 # Title, query, legend, unit.
@@ -44,19 +47,25 @@ def panel(title: str, unit: str, *queries: tuple[str, str]) -> timeseries.Panel:
     made = timeseries.Panel().title(title).unit(unit).span(12).height(8).datasource(SOURCE)
     made = made.legend(common.VizLegendOptions().show_legend(True))
     for place, (query, legend) in enumerate(queries):
-        target = prometheus.Dataquery().expr(query).legend_format(legend).ref_id("ABC"[place])
+        target = prometheus.Dataquery().expr(query).legend_format(legend).ref_id("ABCDE"[place])
         made = made.with_target(target)
     return made
 
 
-def curve(title: str, names: tuple[str, str, str], unit: str) -> timeseries.Panel:
-    """A figure of the motor that is chosen, with a band between the ends of its interval."""
-    legends = ("figure", "lower", "upper")
-    queries = zip((f"{OF}{name}{OF_MOTOR}" for name in names), legends, strict=True)
+def curve(
+    title: str, unit: str, names: tuple[str, str, str], levels: dict[str, str]
+) -> timeseries.Panel:
+    """A figure of the motor that is chosen: a band between the ends of its interval, and levels."""
+    named = dict(zip(("figure", "lower", "upper"), names, strict=True)) | levels
+    queries = [(f"{OF}{name}{OF_MOTOR}", legend) for legend, name in named.items()]
     thin = DynamicConfigValue("custom.lineWidth", 0)
     band = [DynamicConfigValue("custom.fillBelowTo", "lower"), thin]
+    dashed = DynamicConfigValue("custom.lineStyle", {"fill": "dash", "dash": [10, 10]})
     made = panel(title, unit, *queries)
-    return made.override_by_name("upper", band).override_by_name("lower", [thin])
+    made = made.override_by_name("upper", band).override_by_name("lower", [thin])
+    for legend in levels:
+        made = made.override_by_name(legend, [dashed])
+    return made
 
 
 def main() -> None:

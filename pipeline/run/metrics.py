@@ -23,6 +23,7 @@ HEAD = "# Made by motor-leakage"
 # Columns of `latest` that are metrics under the same name.
 FIGURES = (
     *("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+    *("alarm_level_percent", "detection_limit_percent"),
     *("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
     *("evidence", "evidence_limit", "model_error_percent"),
 )

@@ -27,6 +27,7 @@ SECRET = b"a secret of twenty-four."
 # Columns of `latest` that are metrics of the same name.
 METRICS = (
     *("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
+    *("alarm_level_percent", "detection_limit_percent"),
     *("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
     *("evidence", "evidence_limit", "model_error_percent"),
 )
