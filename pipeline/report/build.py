@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -46,6 +47,8 @@ MANIFEST = "manifest.json"
 CHART_LIBRARY = "assets/plotly.min.js"
 # Of changes of state a page lists the newest.
 SHOWN_CHANGES = 200
+# Letters of such a change before it is opened.
+LONGEST_SUMMARY = 90
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,7 +363,8 @@ def _summary(change: Mapping[str, Any]) -> str:
     """A change of state in a few words: its size and part, else how its sentence begins."""
     part = f", {part_of(change['cause'])}" if change["cause"] else ""
     size = change_of(change)
-    return f"{size}{part}" if size else change["sentence"].partition(";")[0]
+    words = f"{size}{part}" if size else change["sentence"].partition(";")[0]
+    return textwrap.shorten(words, LONGEST_SUMMARY, placeholder=" …")
 
 
 def _program_hash() -> str:
