@@ -29,7 +29,10 @@ SENTENCES = {
     "ok": "no change of more than 3 % since 2 January 2026",
     "alarm": "leakage +21 % [17, 25] tonight, since 4 January 2026 [3, 5]: balance sleeve",
 }
-ADVICE = {"ok": "Nothing to do.", "alarm": "Look at the balance sleeve at the next stop."}
+ADVICE = {
+    "ok": "Nothing to do.",
+    "alarm": "Inspect the balance piston, the balance sleeve and the piston ring at the next stop.",
+}
 FIGURES = {
     "status": "ok",
     "flushing_mode": "none",

@@ -32,7 +32,7 @@ from tests.pipeline.report.browser import (
 )
 from tests.pipeline.report.conftest import change_table, demo_fleet
 from tests.pipeline.report.judged import HEADLINE, HEALTHY, NIGHTS, NOTE, REASON, WORN
-from tests.pipeline.report.states import publish_latest, state_of
+from tests.pipeline.report.states import ADVICE, publish_latest, state_of
 
 pytestmark = needs_browser
 
@@ -57,7 +57,7 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     assert len(every) == MOTORS
     assert every[0] == WORN
     (item,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
-    assert f"alarm\n{WORN}\n{HEADLINE} Look at the balance sleeve at the next stop." in item.text
+    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE['alarm']}" in item.text
     assert f"Acknowledged: {NOTE}" in item.text
     find = browser.find_element(By.ID, "find")
     find.send_keys("cb560 insufficient")
@@ -91,7 +91,7 @@ def test_a_state_has_its_words_beside_it_and_old_data_are_marked(
 ) -> None:
     visit(browser, told / "index.html")
     cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
-    assert cells[0].text == "alarm\nLook at the balance sleeve at the next stop."
+    assert cells[0].text == f"alarm\n{ADVICE['alarm']}"
     assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
     # 11 UTC is noon in the fleet's zone; all is long ago.
     old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
