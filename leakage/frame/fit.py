@@ -11,7 +11,6 @@ import numpy as np
 from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
-from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sample_blocks import (
     NONE_CHOSEN,
@@ -19,7 +18,9 @@ from leakage.estimation.sample_blocks import (
     TRAINING,
     VALIDATION,
     ChosenPeriods,
+    CompressedSamples,
     Windows,
+    compress,
     places_on_clock,
     split_into_blocks,
 )

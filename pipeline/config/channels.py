@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.config.field_paths import FieldText
+from pipeline.config.dialect import FieldText
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage
 
 ChannelName = Literal[

@@ -16,9 +16,9 @@ from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled
-from pipeline.config.readers import reader_entry, reader_version
 from pipeline.config.section import Stage
 
 if TYPE_CHECKING:

@@ -8,10 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
-from pipeline.config.field_paths import FieldText
-from pipeline.config.readers import FormatName
+from pipeline.config.dialect import FieldText, FormatName, TimeFormat
 from pipeline.config.section import Misfit, NonNegative, Section, Stage, TimeZone
-from pipeline.config.time_formats import TimeFormat
 
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")

@@ -18,7 +18,7 @@ from pipeline.config.channels import (
     Channel,
     ChannelName,
 )
-from pipeline.config.field_paths import field_path
+from pipeline.config.dialect import field_path
 from pipeline.config.logs import Logs
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import (

@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 from mcap.writer import CompressionType, Writer
 
 from pipeline.config import Channel, MotorFile
-from pipeline.demo.noise import FloatArray
-from pipeline.demo.recording import Recording
+from pipeline.demo.recording import FloatArray, Recording
 from pipeline.units import from_canonical
 
 STAMP_FORMAT: Final = "%Y-%m-%dT%H:%M:%S%.3fZ"

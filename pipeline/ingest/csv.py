@@ -21,8 +21,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.config.logs import Logs
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.contract import LogFile, RawLog, Reader

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.assembly import readings_of

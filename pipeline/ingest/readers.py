@@ -14,8 +14,8 @@ import numpy as np
 
 from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import COUNTED, Channel, Channels
+from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.logs import Logs
-from pipeline.config.readers import reader_entry, reader_version
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import span
 from pipeline.ingest.contract import (

@@ -18,7 +18,7 @@ import polars as pl
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, parsed
 from pipeline.ingest.arrow_types import is_text, nulls
 
 EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
-from leakage.estimation.compression import CompressedSamples, compress
-from leakage.estimation.sample_blocks import split_into_blocks
+from leakage.estimation.sample_blocks import CompressedSamples, compress, split_into_blocks
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash

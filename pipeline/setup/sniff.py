@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 
-from pipeline.config.field_paths import FieldPath, path_text
+from pipeline.config.dialect import FieldPath, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import arrow_types

@@ -16,8 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.clock import latest_us, microseconds, utc
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
 from pipeline.setup.names import is_in, words_of
 

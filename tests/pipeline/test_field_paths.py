@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config.channels import Channel
-from pipeline.config.field_paths import FieldPath, field_path, path_text
+from pipeline.config.dialect import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 
 

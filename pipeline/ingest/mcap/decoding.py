@@ -15,8 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.config.field_paths import FieldPath
-from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.layout import fields_at
 from pipeline.ingest.mcap.messages import Messages

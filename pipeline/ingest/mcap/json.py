@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.json as arrow_json
 from numpy.typing import NDArray
 
-from pipeline.config.field_paths import FieldPath
+from pipeline.config.dialect import FieldPath
 from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.mcap.decoding import (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
-from pipeline.config.field_paths import field_path, path_text
+from pipeline.config.dialect import field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Gathered, judged, raw_log, span

@@ -15,7 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pipeline.config.field_paths import FieldPath, path_text
+from pipeline.config.dialect import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Decoded, Decoder, Payloads, Value, Wanted, one_by_one
 from pipeline.ingest.mcap.layout import Schema

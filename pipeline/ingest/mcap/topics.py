@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.field_paths import FieldPath
+from pipeline.config.dialect import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Wanted, leaves, number_of, value_at
 from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema, read_summary

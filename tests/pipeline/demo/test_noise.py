@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.demo.noise import autoregression, correlated_noise, phi_of
+from pipeline.demo.recording import autoregression, correlated_noise, phi_of
 
 SERIES = 20_000
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from pipeline.config.time_formats import EPOCH_UNITS
+from pipeline.config.dialect import EPOCH_UNITS
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
 from pipeline.ingest.conformance import T0_US

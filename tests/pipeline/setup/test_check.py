@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.config import Channel, load_fleet
-from pipeline.demo.noise import correlated_noise
+from pipeline.demo.recording import correlated_noise
 from pipeline.ingest import RawChannel
 from pipeline.logs.finding import unclaimed
 from pipeline.setup.check import (
