@@ -61,9 +61,10 @@ def test_the_command_ends_with_4_without_a_scheduler(
     fleet = own_fleet("CB400-02")
     text = fleet.read_text("utf-8").replace(
         "[execution]",
-        '[execution]\nbackend = "dask"\nscheduler = "tcp://127.0.0.1:1"\nscheduler_wait_s = 0.5',
+        '[execution]\nbackend = "dask"\nscheduler = "tcp://127.0.0.1:1"',
     )
     fleet.write_text(text, "utf-8")
+    monkeypatch.setattr("pipeline.workers.cluster.WAIT_S", 0.5)
     monkeypatch.setattr(sys, "argv", ["motor-leakage", "fit-fleet", str(fleet)])
     with pytest.raises(SystemExit) as ended:
         main()
