@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -39,7 +38,6 @@ from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import (
     OPERATED,
     History,
-    Records,
     blank_records,
     every_night,
     period_at,
@@ -95,23 +93,23 @@ class Wanted:
 
 @dataclass(slots=True)
 class PublishedNights:
-    """A motor's nights as the tables have them.
+    """A motor's nights as they are published.
 
-    The watch is told the nights from `beginning` on, be it for the other motors of its oil circuit
-    alone; None where nobody needs it. `resumes`: it goes on from the checkpoint.
+    The watch goes over the nights from `beginning` on, be it for the other motors of its oil
+    circuit alone; None where nobody needs it. `resumes`: it goes on from the checkpoint.
     """
 
     wanted: Wanted
-    history: History
-    beginning: dt.date | None
-    resumes: bool
+    history: History = field(init=False)
+    beginning: dt.date | None = None
+    resumes: bool = False
     # By night: rows of `nights` and of `fits`, of `parameters` by name, and what is said of log
     # files, of the nights that were read.
-    rows: Mapping[dt.date, Row]
-    fits: Mapping[dt.date, Row]
-    parameters: Mapping[dt.date, Mapping[str, Row]]
-    messages: Mapping[dt.date, Sequence[str]]
-    alarms: Sequence[Row]  # what is published of the motor
+    rows: dict[dt.date, Row] = field(default_factory=dict)
+    fits: dict[dt.date, Row] = field(default_factory=dict)
+    parameters: dict[dt.date, dict[str, Row]] = field(default_factory=dict)
+    messages: dict[dt.date, list[str]] = field(default_factory=dict)
+    alarms: list[Row] = field(default_factory=list)  # what is published of the motor
     # By number of the day, from `blocks_from` on: the blocks, and the factor of all samples.
     blocks: dict[int, NightBlocks] = field(default_factory=dict)
     factors: dict[int, Array] = field(default_factory=dict)
@@ -131,7 +129,7 @@ class PublishedNights:
         if row is None:
             return NO_LOG
         status = "no blocks" if row["status"] == OK else row["status"].replace("_", " ")
-        return ": ".join(one for one in (status, row["reason"]) if one)
+        return ": ".join(filter(None, (status, row["reason"])))
 
     def fitted_leakage(self, night: dt.date) -> Estimate | None:
         """Leakage at the reference conditions by a night's own fit; None where it has none."""
@@ -145,9 +143,9 @@ class PublishedNights:
     def previous_model_fit_percent(self, night: dt.date) -> float | None:
         """Fit of the model of the night before on a night's samples; None without either."""
         earlier = [
-            one
-            for one, fit in self.fits.items()
-            if night - MODEL_AGE <= one < night and fit["coefficients"]
+            label
+            for label, fit in self.fits.items()
+            if night - MODEL_AGE <= label < night and fit["coefficients"]
         ]
         factor = self.factors.get(night.toordinal())
         if factor is None or not earlier:
@@ -160,33 +158,28 @@ class PublishedNights:
 
 
 def read_nights(output: Path, circuits: Sequence[Sequence[Wanted]]) -> dict[str, PublishedNights]:
-    """The published nights of the motors of some oil circuits; of those without a night nothing."""
-    read = _Rows(output, [one for circuit in circuits for one in circuit])
-    found: dict[str, PublishedNights] = {}
+    """Return the nights of the motors of some oil circuits; nothing of a motor without a night."""
+    motors = {
+        wanted.spec.motor_id: PublishedNights(wanted) for circuit in circuits for wanted in circuit
+    }
+    _read_rows(output, motors)
+    for motor in motors.values():
+        motor.history = _history(motor)
+    motors = {name: motor for name, motor in motors.items() if len(motor.history)}
     for circuit in circuits:
-        told = [(one, history) for one in circuit if (history := _history(one, read)) is not None]
-        begins = [
-            _beginning(one, history, one.first)[0] for one, history in told if one.first is not None
-        ]
-        since = min(begins, default=None)
-        for one, history in told:
-            motor_id = one.spec.motor_id
-            beginning: tuple[dt.date | None, bool] = None, False
-            if since is not None:
-                # The others see it from the first night on that any of them is told.
-                beginning = _beginning(one, history, min(since, one.first or since))
-            found[motor_id] = PublishedNights(
-                one,
-                history,
-                *beginning,
-                read.nights[motor_id],
-                read.fits[motor_id],
-                read.parameters[motor_id],
-                read.messages[motor_id],
-                read.alarms[motor_id],
-            )
-    _add_blocks(output, found)
-    return found
+        names = [wanted.spec.motor_id for wanted in circuit if wanted.spec.motor_id in motors]
+        _set_beginnings([motors[name] for name in names])
+    _add_blocks(output, motors)
+    return motors
+
+
+def _set_beginnings(circuit: Sequence[PublishedNights]) -> None:
+    """Set where the watches of a circuit's motors begin: all of them see what moves one."""
+    firsts = [(motor, motor.wanted.first) for motor in circuit]
+    begins = [_beginning(motor, first)[0] for motor, first in firsts if first is not None]
+    for motor, first in firsts if begins else ():
+        since = min(begins)
+        motor.beginning, motor.resumes = _beginning(motor, min(since, first or since))
 
 
 def read_blocks(
@@ -199,39 +192,32 @@ def read_blocks(
     return [one for one in found if one is not None]
 
 
-class _Rows:
-    """Rows by motor, and then by night; of parameters also by name."""
-
-    def __init__(self, output: Path, wanted: Sequence[Wanted]) -> None:
-        self.nights: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
-        self.fits: defaultdict[str, dict[dt.date, Row]] = defaultdict(dict)
-        self.parameters: defaultdict[str, dict[dt.date, dict[str, Row]]] = defaultdict(dict)
-        self.messages: defaultdict[str, dict[dt.date, list[str]]] = defaultdict(dict)
-        self.alarms: defaultdict[str, list[Row]] = defaultdict(list)
-        read_from = {one.spec.motor_id: one.rows_from for one in wanted}
-        models_from = {name: max(dt.date.min + MODEL_AGE, one) for name, one in read_from.items()}
-        models_from = {name: one - MODEL_AGE for name, one in models_from.items()}
-        made_from = {one.spec.motor_id: one.first for one in wanted if one.first is not None}
-        for row in _rows_since(output, NIGHTS, OF_NIGHT, read_from):
-            self.nights[row["motor_id"]][row["night"]] = row
-        for one in wanted:
-            self.nights[one.spec.motor_id] |= {
-                night: row for night, row in one.unpublished.items() if night >= one.rows_from
-            }
-        for row in _rows_since(output, FITS, FIT_COLUMNS, models_from):
-            if row["is_primary"]:
-                self.fits[row["motor_id"]][row["night"]] = row
-        for row in _rows_since(output, PARAMETERS, PARAMETER_COLUMNS, made_from):
-            fit = self.fits[row["motor_id"]].get(row["night"], {})
-            if row["flushing_mode"] == fit.get("flushing_mode"):
-                named = self.parameters[row["motor_id"]].setdefault(row["night"], {})
-                named[row["parameter"]] = row
-        for row in _rows_since(output, LOG_FILES, FILE_COLUMNS, made_from):
-            if row["message"]:
-                some = self.messages[row["motor_id"]].setdefault(row["night"], [])
-                some.append(row["message"])
-        for row in read_rows(output, ALARMS, list(made_from)).drop("run_id").to_dicts():
-            self.alarms[row["motor_id"]].append(row)
+def _read_rows(output: Path, motors: Mapping[str, PublishedNights]) -> None:
+    """Read the rows that are needed of some motors."""
+    read_from = {name: motor.wanted.rows_from for name, motor in motors.items()}
+    models_from = {
+        name: max(dt.date.min + MODEL_AGE, night) - MODEL_AGE for name, night in read_from.items()
+    }
+    made_from = {name: first for name, motor in motors.items() if (first := motor.wanted.first)}
+    for row in _rows_since(output, NIGHTS, OF_NIGHT, read_from):
+        motors[row["motor_id"]].rows[row["night"]] = row
+    for name, motor in motors.items():
+        unpublished = motor.wanted.unpublished
+        new = {night: row for night, row in unpublished.items() if night >= read_from[name]}
+        motor.rows.update(new)
+    for row in _rows_since(output, FITS, FIT_COLUMNS, models_from):
+        if row["is_primary"]:
+            motors[row["motor_id"]].fits[row["night"]] = row
+    for row in _rows_since(output, PARAMETERS, PARAMETER_COLUMNS, made_from):
+        motor, night = motors[row["motor_id"]], row["night"]
+        if row["flushing_mode"] == motor.fits.get(night, {}).get("flushing_mode"):
+            motor.parameters.setdefault(night, {})[row["parameter"]] = row
+    for row in _rows_since(output, LOG_FILES, FILE_COLUMNS, made_from):
+        if row["message"]:
+            messages = motors[row["motor_id"]].messages
+            messages.setdefault(row["night"], []).append(row["message"])
+    for row in read_rows(output, ALARMS, list(made_from)).drop("run_id").to_dicts():
+        motors[row["motor_id"]].alarms.append(row)
 
 
 def _rows_since(
@@ -251,42 +237,39 @@ def _by_night(first: Mapping[str, dt.date]) -> dict[dt.date, list[str]]:
     return found
 
 
-def _history(wanted: Wanted, read: _Rows) -> History | None:
-    """A motor's nights; None where there is none. Their blocks are not counted yet."""
-    motor_id = wanted.spec.motor_id
-    rows, fits = read.nights[motor_id], read.fits[motor_id]
-    known: Records = blank_records([])
+def _history(motor: PublishedNights) -> History:
+    """Return a motor's nights in order, by its checkpoint and its rows; no block is counted yet."""
+    wanted, known = motor.wanted, blank_records([])
     if wanted.checkpoint is not None:
         before = wanted.checkpoint.records
         known = before[before["known"] & (before["night"] < np.datetime64(wanted.rows_from))]
     # A night of which a run only said that there is no log has no row of `fits`.
-    labels = sorted(rows.keys() & fits.keys())
+    labels = sorted(motor.rows.keys() & motor.fits.keys())
     new = blank_records(labels)
     for record, night in zip(new, labels, strict=True):
         record["known"] = True
         for name in OPERATED:
-            value = rows[night][name]
+            value = motor.rows[night][name]
             record[name] = np.nan if value is None else value
     records = every_night(np.concatenate([known, new]), wanted.until)
-    if not len(records):
-        return None
     watch_columns = WatchColumns.of(wanted.spec, wanted.until)
     return History(wanted.spec, watch_columns, records, wanted.decisions)
 
 
-def _beginning(wanted: Wanted, history: History, first: dt.date) -> tuple[dt.date, bool]:
-    """From which night on a watch has to be told the nights, to tell one and those after it.
+def _beginning(motor: PublishedNights, first: dt.date) -> tuple[dt.date, bool]:
+    """Return the night from which on a watch has to go to know a first one and those after it.
 
     And whether it goes on from the checkpoint.
     """
-    if wanted.checkpoint is None:
+    history, checkpoint = motor.history, motor.wanted.checkpoint
+    if checkpoint is None:
         return history.nights[0], False
     # The nights to come may begin a baseline period of their own: that of the night before decides.
     place = max(history.place_from(first) - 1, 0)
     period = history.nights[period_at(periods_of(history), place).first]
-    watch = wanted.checkpoint.watch
+    watch = checkpoint.watch
     if watch is not None and watch.period == period and watch.day < first.toordinal():
-        return min(first, wanted.checkpoint.last_night), True
+        return min(first, checkpoint.last_night), True
     return period, False
 
 
