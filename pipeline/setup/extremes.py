@@ -18,17 +18,20 @@ from pipeline.units import FALLBACK_VALID_RANGE
 FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
 
 
-# Oil does not change by so much between neighbouring samples that are so near; a single spike,
-# which jumps twice, is refused.
+# Oil does not change by so much between neighbouring samples that are so near; where the samples
+# around them differ as much it is no single spike, which is refused.
 JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 10.0, 10.0, 3
 
 
 def jumps(log: RawChannel) -> Iterator[str]:
     """Yield that the oil's temperature jumps between neighbours."""
-    rows = np.flatnonzero(np.isfinite(log.value))
+    low, high = FALLBACK_VALID_RANGE["oil_temperature"]
+    rows = np.flatnonzero((log.value >= low) & (log.value <= high))
     time_us, value = log.time_us[rows], log.value[rows]
     is_near = np.abs(np.diff(time_us)) <= NEIGHBOURS_S * SECOND_US
-    places = np.flatnonzero((np.abs(np.diff(value)) >= JUMP_C) & is_near)
+    is_jump = (np.abs(np.diff(value)) >= JUMP_C) & is_near
+    is_jump[1:-1] &= np.abs(value[3:] - value[:-3]) >= JUMP_C
+    places = np.flatnonzero(is_jump)
     if len(places) >= FEWEST_JUMPS:
         first = places[0]
         yield (
