@@ -20,6 +20,7 @@ from pipeline.cli.arguments import (
     print_table,
     tell,
 )
+from pipeline.cli.progress import progress_bar
 from pipeline.cli.runs import tell_faults
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line
@@ -70,7 +71,11 @@ def check(
     with read_state_file(fleet.output) as state:
         settings = read_settings(state)
     specs = [as_published(spec, settings.get(spec.motor_id)) for spec in fleet.motors]
-    checks = tuple(check_motor(spec, is_full=full) for spec in specs)
+    checks: tuple[MotorCheck, ...] = ()
+    with progress_bar("motors", is_shown=not as_json) as draw:
+        for spec in specs:
+            checks += (check_motor(spec, is_full=full),)
+            draw(len(checks), len(specs))
     for motor in checks:
         if as_json:
             tell(asdict(motor), "", as_json=True)

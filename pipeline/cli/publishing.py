@@ -23,6 +23,7 @@ from pipeline.cli.arguments import (
     say,
     tell,
 )
+from pipeline.cli.progress import progress_bar
 from pipeline.clock import now
 from pipeline.messages import counted
 
@@ -69,7 +70,10 @@ def report(
 
     fleet = load(config, output, None, logs=False)
     folder = to or fleet.output / "report"
-    result = build_report(fleet, folder, nights=nights, made=now(), config=str(config))
+    with progress_bar("nights") as draw:
+        result = build_report(
+            fleet, folder, nights=nights, made=now(), config=str(config), progress=draw
+        )
     typer.echo(
         f"{counted(result.n_motors, 'motor')}, {counted(result.n_nights, 'night')} updated, "
         f"{counted(result.n_written, 'file')} written, {result.n_removed} removed; "

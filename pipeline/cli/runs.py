@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import signal
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -35,6 +34,7 @@ from pipeline.cli.arguments import (
     say,
     tell,
 )
+from pipeline.cli.progress import nights_done, progress_bar, repeated
 from pipeline.errors import MotorLeakageError, UsageError
 from pipeline.messages import counted
 
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
     from pipeline.store.published import TableFault
+    from pipeline.workers.process import Mark
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
@@ -121,8 +122,12 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.run.fleet import run_fleet
 
-    with progress(len(request.specs), as_json=as_json) as finished:
-        result = run_fleet(request, finished)
+    progress = RunProgress(len(request.specs), as_json=as_json)
+    with (
+        progress_bar("nights", is_shown=not as_json) as draw,
+        repeated(lambda: draw(*progress.nights)),
+    ):
+        result = run_fleet(request, progress.finished, progress.watched)
     print_summary(request, result, as_json=as_json)
     if result.interrupted:
         raise KeyboardInterrupt
@@ -249,25 +254,29 @@ def tell_faults(faults: Iterable[TableFault], *, as_json: bool) -> None:
         tell(event, f"motor-leakage: {fault}", as_json=as_json, err=True)
 
 
-@contextmanager
-def progress(n_motors: int, *, as_json: bool) -> Iterator[Callable[[MotorOutcome], None]]:
-    """Print each motor as it finishes; on a terminal below a bar."""
-    # A caller may have closed it.
-    if as_json or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda outcome: _print_motor(outcome, as_json=as_json)
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+class RunProgress:
+    """Prints each motor as it finishes, and knows how many nights are done."""
 
-    words = (TextColumn("motors"), BarColumn(), MofNCompleteColumn())
-    with Progress(*words, TextColumn("{task.description}"), console=Console(stderr=True)) as bar:
-        task = bar.add_task("", total=n_motors)
+    def __init__(self, n_motors: int, *, as_json: bool) -> None:
+        self.n_motors, self.as_json = n_motors, as_json
+        self.n_finished, self.nights_finished = 0, 0
+        self.marks: Callable[[], Sequence[Mark]] = tuple
 
-        def finished(outcome: MotorOutcome) -> None:
-            bar.update(task, advance=1, description=outcome.motor_id)
-            _print_motor(outcome, as_json=False)
+    def finished(self, outcome: MotorOutcome) -> None:
+        """Take the outcome of a motor."""
+        self.n_finished += 1
+        self.nights_finished += sum(outcome.counts.values())
+        _print_motor(outcome, as_json=self.as_json)
 
-        yield finished
+    def watched(self, marks: Callable[[], Sequence[Mark]]) -> None:
+        """Take what gives the marks of the motors under way."""
+        self.marks = marks
+
+    @property
+    def nights(self) -> tuple[int, int]:
+        """Nights that are done, and how many there are."""
+        marks = [mark for mark in self.marks() if mark.n_left]
+        return nights_done(self.n_finished, self.nights_finished, self.n_motors, marks)
 
 
 def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:

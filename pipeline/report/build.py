@@ -7,7 +7,7 @@ import hashlib
 import json
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -142,11 +142,13 @@ def build_report(
     nights: int | None = None,
     made: dt.datetime | None = None,
     config: str = "CONFIG",
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ReportResult:
     """Write the report of a fleet's motors to a folder, or of a present one what has changed.
 
     `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
     which the fleet's page shows; None: it shows none. `config`: the fleet file in commands.
+    `progress`: called with the nights that are done, and how many there are.
 
     Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
     or the folder cannot be written or holds something else.
@@ -160,7 +162,8 @@ def build_report(
     report = Folder(folder, _program_hash())
     remove_leftovers([folder])
     states = current_states(fleet.output, [spec.motor_id for spec in fleet.motors])
-    n_nights = _make_nights(fleet.output, [state.motor_id for state in states], report, nights)
+    ids = [state.motor_id for state in states]
+    n_nights = _make_nights(fleet.output, ids, report, nights, progress)
     _make_pages(fleet, states, made, report, config)
     return ReportResult(len(states), n_nights, len(report.written), report.close())
 
@@ -179,7 +182,13 @@ def night_file_name(motor_id: str, night: dt.date) -> str:
     return f"data/{motor_id}/{night}.js"
 
 
-def _make_nights(output: Path, ids: Sequence[str], folder: Folder, newest: int | None) -> int:
+def _make_nights(
+    output: Path,
+    ids: Sequence[str],
+    folder: Folder,
+    newest: int | None,
+    progress: Callable[[int, int], None],
+) -> int:
     """Make the files of motors' nights that are new or changed; of how many nights."""
     nights = _motors_by_night(output, ids, newest)
     n_made = 0
@@ -195,6 +204,7 @@ def _make_nights(output: Path, ids: Sequence[str], folder: Folder, newest: int |
         for night in labels:
             rows = {name: of[(night,)] for name, of in of_month.items() if (night,) in of}
             n_made += _make_night(output, night, nights[night], rows, folder)
+            progress(list(nights).index(night) + 1, len(nights))
     return n_made
 
 

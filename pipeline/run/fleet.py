@@ -11,7 +11,7 @@ import logging
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -48,7 +48,7 @@ from pipeline.store.state import LAST_RUN, State, make_ready, open_state
 from pipeline.trends.nights.decisions import publish_decisions, restore_decisions
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
-from pipeline.workers.process import Loss
+from pipeline.workers.process import Loss, Mark
 
 __all__ = ["RunRequest", "RunResult", "run_fleet"]
 
@@ -57,7 +57,11 @@ log = logging.getLogger(__name__)
 Progress = Callable[[MotorOutcome], None]
 
 
-def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
+def run_fleet(
+    request: RunRequest,
+    progress: Progress = lambda _: None,
+    watched: Callable[[Callable[[], Sequence[Mark]]], None] = lambda _: None,
+) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
     Parameters
@@ -66,6 +70,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         Fleet, and which part of it.
     progress
         Called with the outcome of each motor as it finishes.
+    watched
+        Called once with what gives the marks of the tasks under way.
 
     Raises
     ------
@@ -98,6 +104,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 take_over_renamed(state, staging, fleet)
                 open_outbox(state, [receiver.name for receiver in receivers])
                 with open_workers(fleet.execution, folders) as workers:
+                    watched(workers.marks)
                     result = _run(request, staging, progress, heartbeat, workers, state)
                 settle_intraday(fleet, state)
                 publish_decisions(state, result.run_id)

@@ -92,6 +92,7 @@ class MotorRun(NightPlan):
         }
         self.stored = StoredNights(task.output, self.spec.motor_id, unpublished)
         self.findings: tuple[str, ...] = ()
+        self.n_left = 0
 
     def run(self) -> MotorOutcome:
         plan = self.open_nights()
@@ -99,6 +100,7 @@ class MotorRun(NightPlan):
             plan = self.open_nights()
         while plan:
             label, n_moved = min(plan), self.logs.n_moved
+            self.n_left = len(plan)
             outcome = self._night(label, plan.pop(label))
             if outcome is not None:
                 self._remember(outcome)
@@ -151,7 +153,7 @@ class MotorRun(NightPlan):
             return None
         if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
-        sign_of_life(label.isoformat())
+        sign_of_life(label.isoformat(), len(self.done), self.n_left)
         try:
             if step.work is Work.REFIT:
                 with self.timed("refit_s"):

@@ -74,7 +74,7 @@ def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator
             yield Workers(tried)
     else:
         with open_pool(execution) as pool:
-            yield Workers(pool.tried)
+            yield Workers(pool.tried, pool.marks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +82,8 @@ class Workers:
     """The way in which tasks are tried."""
 
     tried: Tried
+    # Marks of tasks under way; a cluster gives none.
+    marks: Callable[[], Sequence[Mark]] = tuple
 
     def run(
         self,
@@ -223,6 +225,10 @@ class Pool:
             with suppress(ValueError, OSError):
                 line = place.read_bytes().partition(b"\n")[0]
                 yield int(place.stem), Mark(*json.loads(line))
+
+    def marks(self) -> list[Mark]:
+        """Return the marks of tasks under way."""
+        return [mark for _, mark in self._marks() if mark.number >= 0]
 
     def watch(self) -> None:
         """Kill workers that cannot end by themselves."""

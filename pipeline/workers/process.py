@@ -58,6 +58,8 @@ class Mark(NamedTuple):
     log: str = ""  # the log that it waits for or reads; empty without one
     limit_s: float = 0.0  # the time that it has for it
     until_s: float = math.inf  # the end of that time, by the machine's monotonic clock
+    n_done: int = 0  # parts of the task that are done
+    n_left: int = 0  # parts to do, with that under way
 
 
 # What was marked last, the file that it goes to, and the limits of a task, where there are any.
@@ -124,10 +126,11 @@ def loss_of(error: BaseException) -> Loss:
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def sign_of_life(part: str) -> None:
+def sign_of_life(part: str, n_done: int = 0, n_left: int = 0) -> None:
     """Mark that a task begins with a part of its work, which has the whole time limit again."""
     if _limits:
-        _say(_mark._replace(part=part, log=""), _limits.timeout_s)
+        mark = _mark._replace(part=part, log="", n_done=n_done, n_left=n_left)
+        _say(mark, _limits.timeout_s)
 
 
 def still_alive() -> None:
