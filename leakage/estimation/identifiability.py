@@ -102,10 +102,10 @@ def identify(
     widening = WIDENING if slow.are_slow else 1.0
     distribution = cluster_robust(factors, fit.coefficients, free, widening)
     paths = fit.motor.coefficient_paths
-    judged = tuple(
+    judgements = tuple(
         _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
     )
-    return Identification(judged, slow, len(factors), distribution)
+    return Identification(judgements, slow, len(factors), distribution)
 
 
 def judge_by_total(
@@ -117,18 +117,18 @@ def judge_by_total(
     ``uncertain`` where its is more than half of the configured value or not less than the estimate.
     """
     paths = fit.motor.coefficient_paths
-    judged = list(identification.coefficients)
+    judgements = list(identification.coefficients)
     for place, whole in total.items():
         path, value = paths[place], float(fit.coefficients[place])
-        if path is None or whole is None or judged[place].verdict != "identified":
+        if path is None or whole is None or judgements[place].verdict != "identified":
             continue
         if whole > WIDEST_COEFFICIENT * _size(path, value) or whole >= abs(value):
             reason = (
                 f"known to ± {100 * whole / abs(value):.0f} % only, with what sensors and the "
                 "model can do to it"
             )
-            judged[place] = replace(judged[place], verdict="uncertain", reason=reason)
-    return replace(identification, coefficients=tuple(judged))
+            judgements[place] = replace(judgements[place], verdict="uncertain", reason=reason)
+    return replace(identification, coefficients=tuple(judgements))
 
 
 def _judge(

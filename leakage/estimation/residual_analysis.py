@@ -283,13 +283,13 @@ def _on_grid(values: Array, place: Places) -> Array:
 def _whiteness(errors: _Errors) -> LagTest:
     lags = np.arange(LONGEST_LAG + 1)
     n, pairs, is_known = errors.pairs[0], errors.pairs[lags], errors.is_known[lags]
-    judged = is_known & (lags > 0)
+    tested = is_known & (lags > 0)
     values = np.where(is_known, errors.correlations[lags], np.nan)
-    bounds = np.where(judged, BAND / np.sqrt(np.maximum(pairs, 1.0)), np.nan)
-    if not judged.any():
+    bounds = np.where(tested, BAND / np.sqrt(np.maximum(pairs, 1.0)), np.nan)
+    if not tested.any():
         return LagTest(lags, values, bounds, reason=TOO_MANY_GAPS)
-    statistic = float((n + 2.0) / n * (pairs[judged] @ values[judged] ** 2))
-    return LagTest(lags, values, bounds, float(chdtrc(judged.sum(), statistic)))
+    statistic = float((n + 2.0) / n * (pairs[tested] @ values[tested] ** 2))
+    return LagTest(lags, values, bounds, float(chdtrc(tested.sum(), statistic)))
 
 
 def _independence(errors: _Errors, values: Array) -> LagTest:

@@ -152,7 +152,7 @@ def fit_frame(
         identification=estimate.identified(blocks.excitation),
         beside_samples=np.zeros(len(theta)),
     )
-    return found.judged()
+    return found.with_errors_beside()
 
 
 def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:

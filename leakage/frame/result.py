@@ -152,7 +152,7 @@ class FrameFit:
         total: Array = np.hypot(np.hypot(samples, model), 0.0 if sensors is None else sensors)
         return total
 
-    def judged(self) -> FrameFit:
+    def with_errors_beside(self) -> FrameFit:
         """Return the fit with what the model and the sensors can do to its coefficients."""
         free = np.flatnonzero(~self.estimate.fit.proven_minimum.fixed).tolist()
         beside = np.zeros_like(self.beside_samples)
@@ -216,7 +216,7 @@ class FrameFit:
             tuple(words.warnings(left_out, rows, parts, misfit)),
             (words.HEADINGS, *map(words.cells, rows)),
             (
-                *(words.fits(part, judged) for part, judged in parts.items() if judged.n),
+                *(words.fits(part, of_part) for part, of_part in parts.items() if of_part.n),
                 *(words.errors(part, self.residual_tests(part)) for part in tested),
                 words.model(misfit),
             ),
@@ -228,12 +228,12 @@ class FrameFit:
     def columns(self) -> dict[str, list[Any]]:
         """Return estimates as columns, one row a coefficient."""
         paths, intervals = self.paths.values(), self.conf_int().values()
-        judged = self.judgements.values()
+        judgements = self.judgements.values()
         totals = [
             math.hypot(judgement.information.half_width, self.beside_samples[at])
             if judgement.interval and judgement.information
             else None
-            for at, judgement in zip(self.paths, judged, strict=True)
+            for at, judgement in zip(self.paths, judgements, strict=True)
         ]
         return {
             "parameter": [path.coefficient_name for path in paths],
@@ -244,8 +244,8 @@ class FrameFit:
             "upper": [None if interval is None else interval[1] for interval in intervals],
             "total_half_width": totals,
             "configured": [path.configured_coefficient for path in paths],
-            "verdict": [judgement.verdict for judgement in judged],
-            "reason": [judgement.reason for judgement in judged],
+            "verdict": [judgement.verdict for judgement in judgements],
+            "reason": [judgement.reason for judgement in judgements],
         }
 
     def to_polars(self) -> pl.DataFrame:

@@ -66,8 +66,8 @@ def warnings(
     for row in rows:
         if row["verdict"] not in ("identified", "fixed"):
             yield f"{row['parameter']}: {row['verdict'].replace('_', ' ')}: {row['reason']}"
-    for part, judged in agreements.items():
-        if is_poor(judged.fit_percent):
+    for part, of_part in agreements.items():
+        if is_poor(of_part.fit_percent):
             yield f"{part}: the model is worse than a constant flow"
     if not agreements["validation"].n:
         yield "no samples validate this fit"
@@ -88,12 +88,12 @@ def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def fits(part: str, judged: Agreement) -> str:
+def fits(part: str, of_part: Agreement) -> str:
     """Return how the fit to the training samples agrees with a part."""
-    fit = "-" if judged.fit_percent is None else f"{judged.fit_percent:.1f} %"
+    fit = "-" if of_part.fit_percent is None else f"{of_part.fit_percent:.1f} %"
     return (
-        f"{part}: fit {fit}, rmse {judged.rmse_l_per_min:.3g} l/min, mean "
-        f"error {judged.mean_error_l_per_min:+.2g} l/min, {judged.n} samples"
+        f"{part}: fit {fit}, rmse {of_part.rmse_l_per_min:.3g} l/min, mean "
+        f"error {of_part.mean_error_l_per_min:+.2g} l/min, {of_part.n} samples"
     )
 
 

@@ -234,7 +234,7 @@ class Section(BaseModel):
 
     @classmethod
     @cache
-    def _looked_at(cls, stage: Stage) -> tuple[tuple[str, bool], ...]:
+    def _keys_of(cls, stage: Stage) -> tuple[tuple[str, bool], ...]:
         """Return keys of a stage, and those that may hold tables, with whether they are of it."""
         return tuple(
             (key, is_of_it)
@@ -245,7 +245,7 @@ class Section(BaseModel):
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """Return all settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
-        for key, is_of_it in self._looked_at(stage):
+        for key, is_of_it in self._keys_of(stage):
             value = getattr(self, key)
             if isinstance(value, Section):
                 part = value.shaping(stage)

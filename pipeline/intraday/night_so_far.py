@@ -21,7 +21,7 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.config.settings import BLOCK_S
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.logs.files import look_at, reaches_us, slice_night, spanned
+from pipeline.logs.files import reaches_us, slice_night, spanned, stat_log
 from pipeline.logs.finding import find_logs
 from pipeline.logs.processed import FileRecord
 from pipeline.night.column_change import COLUMNS, USUAL_NIGHTS, column_change, usual_readings
@@ -99,7 +99,7 @@ def _newest_logs(
     """
     ends, is_new = dict[Path, int](), False
     for name, path in find_logs(spec)[0].items():
-        record, before = look_at(name, path), known.get(name)
+        record, before = stat_log(name, path), known.get(name)
         if before is not None and _state(before) == _state(record):
             record = before
         elif record.status == "ok":

@@ -61,7 +61,7 @@ def inspect_log(
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
     """The change of a file since it was looked at; None without one, or if the file is gone."""
-    now = look_at(record.path, path)
+    now = stat_log(record.path, path)
     # Not by `changed_ns`: a backup that links the file does nothing to its content.
     is_same = all(getattr(now, name) == getattr(record, name) for name in OF_CONTENT)
     if now.status == "failed" or is_same:
@@ -83,7 +83,7 @@ def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | Non
     )
 
 
-def look_at(name: str, path: Path) -> FileRecord:
+def stat_log(name: str, path: Path) -> FileRecord:
     """Size and time of a file; ``failed`` where there is no such file any more, or it is none."""
     try:
         state = path.stat()

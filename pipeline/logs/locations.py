@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import change_of, failed, inspect_log, look_at, unsettled
+from pipeline.logs.files import change_of, failed, inspect_log, stat_log, unsettled
 from pipeline.logs.finding import GLOB_CHARACTERS, find_logs, legible, without_match
 from pipeline.logs.processed import FileRecord
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -54,7 +54,7 @@ class FolderLogs:
         self._paths, self.absent = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+    def stat_log(self, name: str, before: FileRecord | None) -> FileRecord:
         """Return the record of a log, as `inspect_log`."""
         record = self._seen(name)
         if record.status == "failed":
@@ -71,7 +71,7 @@ class FolderLogs:
 
     def _seen(self, name: str) -> FileRecord:
         """Return the record of a log that is not opened."""
-        return look_at(name, self.path(name))
+        return stat_log(name, self.path(name))
 
     def path(self, name: str) -> Path:
         """Return a file with the content of a log; of one that is gone, where it was.

@@ -44,7 +44,7 @@ class MotorLogs:
         Samples after this time are refused [µs since 1970].
     silent
         Those that did not answer: none is opened.
-    looked_at
+    log_records
         Records of the files as they are; None: they are looked at.
 
     Attributes
@@ -65,7 +65,7 @@ class MotorLogs:
         before: Mapping[str, FileRecord],
         latest_us: int,
         silent: Mapping[str, Loss],
-        looked_at: Mapping[str, FileRecord] | None = None,
+        log_records: Mapping[str, FileRecord] | None = None,
     ) -> None:
         self._spec = spec
         self.before = before
@@ -73,7 +73,7 @@ class MotorLogs:
         self._latest_us = latest_us
         self._silent = silent
         self.absent: list[str] = []
-        found = self._look() if looked_at is None else looked_at
+        found = self._look() if log_records is None else log_records
         latest = night_of(latest_us, spec.settings.nights)
         self.files = with_told_nights(without_misdated(found), before, latest)
         self.read: set[str] = set()
@@ -101,7 +101,7 @@ class MotorLogs:
         still_alive()
         known = self._known(name)
         if name not in self._silent:
-            return self._source.look_at(name, known)
+            return self._source.stat_log(name, known)
         if known is not None and known.status == "ok":
             return known  # as far as anybody can tell, it is as it was
         return self._unanswered(FileRecord(name, 0, 0, None))

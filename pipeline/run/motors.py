@@ -11,7 +11,7 @@ from threading import Thread
 from polars.exceptions import PanicException
 
 from pipeline.config import Execution, MotorSpec
-from pipeline.logs.files import look_at
+from pipeline.logs.files import stat_log
 from pipeline.logs.finding import find_logs
 from pipeline.logs.processed import FileRecord, read_processed
 from pipeline.run.night_plan import NightPlan
@@ -78,7 +78,7 @@ def unchanged_motors(
         if not seen or len(known) < len(seen):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells
-            nights = NightPlan(replace(task, processed=processed, looked_at=known))
+            nights = NightPlan(replace(task, processed=processed, log_records=known))
             if nights.is_quiet:
                 yield nights.outcome()
 
@@ -89,4 +89,4 @@ def _look(spec: MotorSpec) -> Mapping[str, FileRecord]:
         paths, absent = find_logs(spec)
     except OSError:
         return {}
-    return {} if absent else {name: look_at(name, path) for name, path in paths.items()}
+    return {} if absent else {name: stat_log(name, path) for name, path in paths.items()}

@@ -106,7 +106,7 @@ class NightPlan:
         before = _without_failures(task.processed) if task.retry else task.processed
         with self.timed("read_s"):
             self.logs = MotorLogs(
-                self.spec, before.files, task.latest_us, task.silent, task.looked_at
+                self.spec, before.files, task.latest_us, task.silent, task.log_records
             )
         self.abandoned = self._without_log()
         self.logs.before = {

@@ -139,7 +139,7 @@ class MotorTask:
     given_up: tuple[Loss, ...] = ()
     first_look: Callable[[], FirstLook] | None = None  # as of the request
     # The motor's logs where they are known to be as they were; None: they are to be looked at.
-    looked_at: Mapping[str, FileRecord] | None = None
+    log_records: Mapping[str, FileRecord] | None = None
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
     latest_us: int = field(default_factory=latest_us)
     # Nights that people accepted as failed, and those that they released for fitting.

@@ -17,7 +17,7 @@ from pipeline.config.nights import night_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
-from pipeline.logs.files import change_of, failed, labels_of, look_at, spanned
+from pipeline.logs.files import change_of, failed, labels_of, spanned, stat_log
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
@@ -155,7 +155,7 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
         path = logs.path(name)
     except LogError as error:  # replaced or removed since it was listed
         return failed(FileRecord(name, 0, 0, None), error)
-    record = look_at(name, path)
+    record = stat_log(name, path)
     if record.status == "failed":
         return record
     found, why = spanned(record, path, spec), change_of(record, path)

@@ -199,7 +199,10 @@ def test_nothing_can_be_published_where_a_file_is(small: ScenarioFleet) -> None:
     assert str(small.folder / "file") in done.err
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGTERM, 143), pytest.param(signal.SIGKILL, -9, marks=pytest.mark.full)],
+)
 def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
     plant: ScenarioFleet, shared_plant: ScenarioFleet, number: signal.Signals, code: int
 ) -> None:

@@ -195,10 +195,13 @@ def check(folder: Path, _: Path) -> None:
     run_command("look", folder / "configs" / "fleet.toml")
 
 
-EVERY = [pytest.param(fault, 1, marks=pytest.mark.full) for fault in FAULTS]
+EVERY = [
+    pytest.param(fault, every, marks=pytest.mark.full)
+    for fault, every in [("full", 31), *((fault, 1) for fault in FAULTS)]
+]
 
 
-@pytest.mark.parametrize(("fault", "every"), [("killed", 31), ("full", 31), *EVERY])
+@pytest.mark.parametrize(("fault", "every"), [("killed", 31), *EVERY])
 def test_a_check_that_is_broken_off_anywhere_is_made_up_for(
     fleet: ScenarioFleet, tmp_path: Path, fault: Fault, every: int
 ) -> None:

@@ -119,6 +119,26 @@ def test_a_fault_has_file_key_and_words(
     check_fault(configs, file, key, words)
 
 
+WHOLE = """motor_id = "M1"
+motor_type = "CB400"
+oil = "vg68"
+[logs]
+format = "csv"
+files = ["M1/*.csv"]
+[channels]
+pressure_difference = { source = "dp", unit = "bar" }
+oil_temperature = { source = "T", unit = "degC" }
+speed = { source = "n", unit = "rpm" }
+leakage_flow = { source = "q", unit = "l/min" }
+"""
+
+
+def test_a_motor_s_file_of_few_lines_is_whole(configs: Path) -> None:
+    assert WHOLE.count("\n") <= 15
+    (configs / "motors" / "M1.toml").write_text(WHOLE, "utf-8")
+    assert "M1" in {spec.motor_id for spec in load(configs).motors}
+
+
 @pytest.mark.parametrize(
     "motor_id",
     ["../x", "a/b", "", ".", "..", ".hidden", "-x", "a b", "a\\\\b", "x" * 65, "ü", "a\\n"],

@@ -30,7 +30,7 @@ def looked_at(path: Path, spec: MotorSpec, before: FileRecord | None = None) -> 
     name = path.relative_to(spec.log_root).as_posix()
     logs = spec.file.logs.model_copy(update={"files": (name,)})
     here = replace(spec, file=spec.file.model_copy(update={"logs": logs}))
-    return FolderLogs(here).look_at(name, before)
+    return FolderLogs(here).stat_log(name, before)
 
 
 def us(time: dt.datetime) -> int:

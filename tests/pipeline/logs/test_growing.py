@@ -16,7 +16,7 @@ import pipeline.logs.files
 import pipeline.logs.motor_logs
 import pipeline.setup.check
 from pipeline.config import load_fleet
-from pipeline.logs.files import change_of, look_at
+from pipeline.logs.files import change_of, stat_log
 from pipeline.setup.check import check_motor
 from tests.pipeline.calling import Call, Called
 from tests.pipeline.simulated import NIGHT, motor_toml
@@ -154,7 +154,7 @@ def test_a_change_shows_in_size_or_time(tmp_path: Path, content: str | None, wor
     """Also where another file takes the name, with the old size and time; none if it is gone."""
     path, new = tmp_path / "a.csv", tmp_path / "new"
     path.write_text("time,n\n")
-    record = look_at("a.csv", path)
+    record = stat_log("a.csv", path)
     path.unlink()
     if content is not None:
         new.write_text(content)
@@ -168,10 +168,10 @@ def test_a_change_shows_in_size_or_time(tmp_path: Path, content: str | None, wor
 def test_a_backup_that_links_a_log_changes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time,n\n")
-    record = look_at("a.csv", path)
+    record = stat_log("a.csv", path)
     (tmp_path / "copy").hardlink_to(path)
     path.chmod(0o640)
-    assert look_at("a.csv", path).state != record.state
+    assert stat_log("a.csv", path).state != record.state
     assert change_of(record, path) is None
 
 
