@@ -157,6 +157,7 @@ def residual_chart(tests: Iterable[Row]) -> Chart:
     drawn = [row for row in tests if row["lags_s"]]
     part = VALIDATION if any(row["part"] == VALIDATION for row in drawn) else TRAINING
     rows = [row for row in drawn if row["part"] == part]
+    rows.sort(key=lambda row: (row["test"] != "whiteness", row["input"]))
     lags: list[float] = max((row["lags_s"] for row in rows), key=len, default=[])
     panels = []
     for row in rows:

@@ -35,7 +35,7 @@ def test_correlations_of_the_errors_are_drawn_lag_by_lag(fitted_output: Path) ->
     rows = read_table(path, RESIDUAL_TESTS).filter(motor_id="CB560-02", part="validation")
     chart = residual_chart(rows.to_dicts())
     assert len(chart.panels) == 4
-    for panel, row in zip(chart.panels, rows.to_dicts(), strict=True):
+    for panel, row in zip(chart.panels, rows.sort("test", descending=True).to_dicts(), strict=True):
         assert row["verdict"] in panel.title
         first = 51 - len(row["lags_s"])
         drawn = {line.name: line.value[first:] for line in panel.lines}
