@@ -17,7 +17,7 @@ from leakage.watch import Change, Estimate, NightBlocks, Verdict, Watch, WatchSe
 from pipeline.arrays import Array
 
 # Seeds of trials while building, and of the figures that are shown.
-TRIAL, FRESH = 36, 20261203
+TRIAL, FRESH = 36, 20261129
 REFERENCE = np.array([50.0, 200.0, 30.0])  # [°C], [bar], [rpm]
 REACHED = 0.08  # change of the flow from which nights are counted
 SETTLED = 10  # nights after which a cause has settled

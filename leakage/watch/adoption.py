@@ -64,7 +64,7 @@ def test_for_change(state: WatchState) -> WatchState:
     evidence = state.evidence_now()
     weighed = with_evidence(state, evidence, state.place(state.first_ramp))
     frequent = weighed.often - math.log(2 * len(evidence.causes))
-    if frequent >= max(state.settings.limit, weighed.evidence) and len(odd_places(weighed.window)):
+    if frequent >= max(state.settings.limit, weighed.evidence) and odd_nights_are_single(weighed):
         return _with_odd_nights(weighed)
     is_detected = weighed.evidence >= state.settings.limit or nights_beyond(weighed) > 1
     return _detect(weighed) if is_detected else weighed
@@ -285,8 +285,19 @@ def odd_places(window: Window) -> Places:
     return odd if len(odd) <= choices.MOST_ODD * (len(window) - odd[0]) else odd[:0]
 
 
+def odd_nights_are_single(state: WatchState) -> bool:
+    """Return whether odd nights come again and again, and those between are ordinary ones."""
+    places = odd_places(state.window)
+    if not len(places):
+        return False
+    level = state.level_along(state.baseline.leakage_flows).value[places[0] :]
+    between = np.delete(level, places - places[0])
+    odd = abs(float(level[places - places[0]].mean()))
+    return abs(float(np.median(between))) < choices.MOSTLY * odd
+
+
 def _with_odd_nights(state: WatchState) -> WatchState:
-    """Return With odd nights told that come again and again, unless another change is in force."""
+    """Return the state with odd nights detected, unless another change is in force."""
     if state.in_force is not None and state.in_force.change.cause != ODD_NIGHTS:
         return replace(state, often=NOTHING)
     places, again = odd_places(state.window), state.in_force is not None

@@ -296,6 +296,8 @@ def _identified(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
     """The name of the likeliest group, or that it cannot be identified, and its probability."""
+    if by_name.get(TEMPERATURE_EFFECT, 0.0) >= choices.NAMED:
+        return TEMPERATURE_EFFECT, by_name[TEMPERATURE_EFFECT]
     group, probability = max(groups.items(), key=lambda item: item[1])
     if probability < choices.NAMED or SEVERAL in group:
         return CANNOT_BE_TOLD, probability

@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from leakage.arrays import Array
 from leakage.watch import choices
-from leakage.watch.nights import FLUSHING, Machine, NightBlocks
+from leakage.watch.nights import FLUSHING, TWO_SIDED_95, Machine, NightBlocks
 from leakage.watch.within_night import (
     START,
     BlockErrors,
@@ -188,12 +188,14 @@ class Baseline:
         """Relative standard error of that share: of the flushing's estimate, and of the model.
 
         A drain flow that misses by the lack of fit over its range moves its constant part by as
-        much.
+        much. A share is at most 1, so that a leakage changes by no less than the drain flow: no
+        error of the flushing takes a change away, which is left half of its size at least.
         """
         if self.flushing is None:
             return 0.0
         of_flow = float(self.own_row[self.flushing] * self.path_sd[self.flushing])
-        return math.hypot(of_flow, self.lack_of_fit) / self.leakage_share
+        error = math.hypot(of_flow, self.lack_of_fit) / self.leakage_share
+        return min(error, max(1.0 - self.leakage_share, choices.MOSTLY) / TWO_SIDED_95)
 
     @property
     def leakage_row(self) -> Array:

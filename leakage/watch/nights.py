@@ -19,7 +19,7 @@ FLUSHING, KNOWN = "flushing", "known"
 SEVERAL = "several"
 # ISO viscosity grades, kinematic viscosity at 40 and 100 °C [mm²/s] (mineral oils, VI about 100).
 ISO_GRADES = ((32.0, 5.4), (46.0, 6.8), (68.0, 8.7), (100.0, 11.4))
-_TWO_SIDED_95 = float(ndtri(0.975))
+TWO_SIDED_95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +96,12 @@ class Estimate:
     @property
     def lower(self) -> float:
         """Lower end of the 95 % interval."""
-        return self.value - _TWO_SIDED_95 * self.sd
+        return self.value - TWO_SIDED_95 * self.sd
 
     @property
     def upper(self) -> float:
         """Upper end of the 95 % interval."""
-        return self.value + _TWO_SIDED_95 * self.sd
+        return self.value + TWO_SIDED_95 * self.sd
 
     @property
     def holds_zero(self) -> bool:

@@ -348,8 +348,9 @@ def mean_change(state: WatchState) -> Estimate:
     now, in_force = present(state), state.in_force
     if in_force is None or in_force.attribution is None or in_force.prior is not None:
         return now
-    size = in_force.change.size
-    is_alike = size.value * now.value > 0.0 and not in_force.change.is_several
+    change, size = in_force.change, in_force.change.size
+    is_level = change.cause != TEMPERATURE_EFFECT and not change.is_several
+    is_alike = size.value * now.value > 0.0 and is_level
     if size.holds_zero or not is_alike or not now.holds_zero:
         return now
     start = np.array([state.place(in_force.attribution.start)])

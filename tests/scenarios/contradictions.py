@@ -42,15 +42,11 @@ def _is_beyond_limit(row: Row, name: str = "mean_change") -> bool:
 
 
 def ok_has_no_evidence(row: Row, _: Sequence[Row]) -> bool:
-    """Nothing is told: the evidence is not above its limit, and the mean not beyond detection."""
-    if row["state"] != "ok" or row["cause"] in NOTICES:
+    """Nothing is reported: no evidence beyond its limit but a notice, no mean beyond detection."""
+    if row["state"] != "ok":
         return True
-    return (row["evidence"] or 0.0) <= row["evidence_limit"] and not _is_beyond_limit(row)
-
-
-def back_is_back(row: Row, _: Sequence[Row]) -> bool:
-    """What is back where it was is not beyond the detection limit."""
-    return row["cause"] != "back_as_before" or not _is_beyond_limit(row)
+    is_quiet = (row["evidence"] or 0.0) <= row["evidence_limit"] or row["cause"] in NOTICES
+    return is_quiet and not _is_beyond_limit(row)
 
 
 def warning_excludes_zero(row: Row, _: Sequence[Row]) -> bool:
@@ -169,7 +165,6 @@ def of_fleet(rows: Sequence[Row]) -> Iterator[str]:
 
 RULES: tuple[Callable[[Row, Sequence[Row]], bool], ...] = (
     ok_has_no_evidence,
-    back_is_back,
     warning_excludes_zero,
     detected_by_evidence,
     dates_in_order,

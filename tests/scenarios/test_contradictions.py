@@ -80,7 +80,7 @@ PLANTED: tuple[tuple[str, Row, dict[str, Any]], ...] = (
         OK,
         {"mean_change_percent": 7.8, "mean_change_lower": 5.9, "mean_change_upper": 9.7},
     ),
-    ("back_is_back", BACK, {"mean_change_lower": 5.0, "mean_change_upper": 9.0}),
+    ("ok_has_no_evidence", BACK, {"mean_change_lower": 5.0, "mean_change_upper": 9.0}),
     ("warning_excludes_zero", RISEN, {"mean_change_lower": -0.3}),
     ("detected_by_evidence", RISEN, {"evidence": 9.3}),
     ("dates_in_order", RISEN, {"onset": DAY - dt.timedelta(days=1)}),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from leakage.watch import Machine, NightBlocks, Watch
-from leakage.watch.adoption import in_force_of
+from leakage.watch.adoption import in_force_of, odd_nights_are_single
 from leakage.watch.attribution import attribute
 from leakage.watch.events import across_event
 from leakage.watch.state import nights_beyond
@@ -180,3 +180,27 @@ def test_leakage_of_a_flushed_motor_is_without_the_flushing() -> None:
     at = np.array([50.0, 200.0, 30.0])
     truth = float(drives(at) @ (COEFFICIENTS * [1.0, 1.0, 1.3, 1.0]))
     assert watch.leakage_at(np.append(drives(at), 0.0), at).value == pytest.approx(truth, rel=0.03)
+
+
+def test_no_doubt_about_a_flushing_takes_a_change_away() -> None:
+    """7c.3: one pressure hardly tells a flushing from the leakage; the drain flow rose by 10 %."""
+    plant = Plant(operating_point="one pressure", growth=grown("all_flows", 0.15, BEGIN))
+    watches = watched(flushed(plant.nights(36, 1), 1.5), FLUSHED, first=FIRST)
+    assert watches[-1].state.baseline.leakage_share_error <= 0.51
+    changes = [watch.verdict().change for watch in watches[BEGIN + 2 - FIRST :]]
+    assert all(change is not None and change.cause != "odd_nights" for change in changes)
+    assert not watches[-1].verdict().present.holds_zero
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nights_alike_in_a_row_are_no_odd_nights(seed: int) -> None:
+    """7c.1: the ordinary nights between odd ones are ordinary."""
+    for growth, is_odd in (
+        (lambda night: 1.1 if night >= BEGIN and night % 3 == 0 else 1.0, True),
+        (grown("all_flows", 0.1, BEGIN), False),
+    ):
+        watches = watched(Plant(growth=growth).nights(45, seed), first=FIRST)
+        state = watches[-1].state
+        odd = np.where(state.window.days % 3 == 0, 3.0, 0.0) * (state.window.days >= BEGIN)
+        state = replace(state, window=replace(state.window, odd=odd))
+        assert odd_nights_are_single(state) == is_odd
