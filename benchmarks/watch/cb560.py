@@ -70,6 +70,11 @@ class CB560(Machine):
     minutes: int = 60  # of a night
     bar: tuple[float, float] | None = None  # every load is between these; None: a night's highest
 
+    @property
+    def flushing_l_per_min(self) -> float:
+        """Flow in the drain line that is no leakage."""
+        return self.coefficients[-2]
+
     def duty(self, generator: np.random.Generator, nights: int, state: State) -> Duty:
         """A warm-up under steps of load: 60 s of pressure, 90 s of speed."""
         n = round(60.0 * self.minutes / STEP_S)

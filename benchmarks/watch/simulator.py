@@ -123,6 +123,11 @@ class Machine(ABC):
     fitted: Fitted = THREE_PATHS
     own_every: ClassVar[int] = 1  # samples from one to the next of those of its own change
 
+    @property
+    def flushing_l_per_min(self) -> float:
+        """Flow in the drain line that is no leakage."""
+        return 0.0
+
     @abstractmethod
     def duty(self, generator: np.random.Generator, nights: int, state: State) -> Duty:
         """What it does in its nights."""
@@ -201,21 +206,22 @@ def _metered(flow: Array, state: State) -> Array:
 def _change(
     machine: Machine, state: State, read: Duty, flow: Array, baseline: int
 ) -> tuple[Array, Array]:
-    """Measured flow over that of the machine as at first at the conditions as read, less 1.
+    """Measured leakage over that of the machine as at first at the conditions as read, less 1.
 
     At each night's conditions, and at those of the baseline, shape (nights,) both.
     """
-    nights = flow.shape[1]
+    nights, flushing = flow.shape[1], machine.flushing_l_per_min
     now = replace(state, temperature_lag_s=0.0, drain_lag_s=0.0)
-    before = _flow(machine, read, now.as_first).mean(axis=0)
-    newest_night = _metered(flow, now).mean(axis=0) / before - 1.0
+    before = _flow(machine, read, now.as_first).mean(axis=0) - flushing
+    newest_night = (_metered(flow, now).mean(axis=0) - flushing) / before - 1.0
     own = [one[:: machine.own_every, :baseline].reshape(-1, 1) for one in read]
     step = max(1, own[0].size // OWN_SAMPLES)
     seen = Duty(*(np.tile(one[::step], nights) for one in own))
     now = replace(now, wander=1.0)
     warm = seen._replace(temperature_c=seen.temperature_c - now.reads_high_c)
-    changed = _metered(_flow(machine, warm, now), now).mean(axis=0)
-    return newest_night, changed / _flow(machine, seen, now.as_first).mean(axis=0) - 1.0
+    changed = _metered(_flow(machine, warm, now), now).mean(axis=0) - flushing
+    first = _flow(machine, seen, now.as_first).mean(axis=0) - flushing
+    return newest_night, changed / first - 1.0
 
 
 def _late(signal: Array, lag_s: float | Array) -> Array:
