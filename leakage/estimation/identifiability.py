@@ -44,8 +44,7 @@ Verdict: TypeAlias = Literal[
     "too_little_data",
 ]
 # Verdicts of a figure that has a value.
-TOLD = ("identified", "uncertain", "extrapolated", "fixed")
-OUTSIDE = ("extrapolated", "outside_fitted_range")
+WITH_VALUE = ("identified", "uncertain", "extrapolated", "fixed")
 
 ONE_STRETCH = (
     "it rests on one short stretch of the window; its conditions must recur to show how sure it is"
@@ -266,9 +265,9 @@ class LeakageJudgement:
     information: Interval | None = None
 
     @property
-    def is_told(self) -> bool:
+    def has_value(self) -> bool:
         """True if the value is meaningful."""
-        return self.verdict in TOLD
+        return self.verdict in WITH_VALUE
 
 
 def judge_leakage(

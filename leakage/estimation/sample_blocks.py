@@ -212,8 +212,6 @@ class CompressedSamples:
 
     z: Array  # their columns, smoothed where that was asked for; shape (n, c)
     unsmoothed: Array  # the same before smoothing; z itself where none was asked for
-    # Blocks before neighbours are merged, whose borders no smoothing crosses.
-    short: tuple[Block, ...]
     blocks: tuple[Block, ...]  # blocks as they are stored
     factors: Array  # triangular factor of each, shape (b, c, c)
 
@@ -254,6 +252,4 @@ def compress(
         z = smooth(columns, index, numbers_of(short), period_us, smoothing_s)
     stored = merge_neighbours(short, maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
-    return CompressedSamples(
-        z=z, unsmoothed=columns, short=short, blocks=stored, factors=factors(z, borders)
-    )
+    return CompressedSamples(z=z, unsmoothed=columns, blocks=stored, factors=factors(z, borders))

@@ -94,18 +94,6 @@ class ClusterRobust:
         share = float(shares.max() / shares.sum())
         return Interval(quantile * standard_error, standard_error, freedom, share)
 
-    def covariance_root(self) -> Array:
-        """Return upper triangular U of the active coefficients, U'U their covariance; shape (k, k).
-
-        Where columns look alike, rounding leaves nothing in the covariance of what is well known:
-        |U c| keeps the standard error of every combination c.
-        """
-        k = len(self._scale)
-        upper = np.asarray(np.linalg.qr(self._scores @ self._to_basis / self._scale, mode="r"))
-        root = np.zeros((k, k))
-        root[: len(upper)] = np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None] * upper
-        return root
-
     def covariance(self) -> Array:
         """Return covariance of the active coefficients, shape (k, k), in their units."""
         spread = self._to_basis.T @ (self._scores.T @ self._scores) @ self._to_basis

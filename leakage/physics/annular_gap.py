@@ -84,8 +84,6 @@ class AnnularGap(Law):
     `eccentricity`: Eccentricity e, 0 to 1, [1]; None: none.
     `deformation_pressure_pa`: Deformation constant X, [Pa]; None: no deformation.
     `height_factor`: Factor c on the gap height, [-].
-    `geometry_is_placeholder`: Whether r, l or n are placeholders, so that h in micrometres means
-    nothing.
     `deformation_tolerance`: Stated tolerance of X, relative; 0: none stated.
 
     Raises ParameterError if a constant is not positive, a bound outside the physical range or a
@@ -117,7 +115,6 @@ class AnnularGap(Law):
     eccentricity: Parameter | None
     deformation_pressure_pa: float | None = None
     height_factor: float = 1.0
-    geometry_is_placeholder: bool = True
     deformation_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
@@ -223,8 +220,7 @@ class AnnularGap(Law):
             name: str, unit: str, ends: tuple[float, float], own: tuple[float, float] | None = None
         ) -> DerivedFigure:
             combination = f"{self.coefficient_name} ∝ h³(1 + 1.5e²)" if shared else ""
-            placeholder = self.geometry_is_placeholder
-            return DerivedFigure(f"{name}_{self.name}", unit, *ends, own, combination, placeholder)
+            return DerivedFigure(f"{name}_{self.name}", unit, *ends, own, combination)
 
         figures = [figure("h", "um", gaps_um, gap_limits)]
         if e is not None:

@@ -95,7 +95,6 @@ class DerivedFigure:
     # Combination of parameters that alone shows in the data; empty: the coefficient's verdict
     # is the figure's.
     combination: str = ""
-    is_placeholder: bool = False  # whether the geometry behind it is one
 
 
 class Side(NamedTuple):

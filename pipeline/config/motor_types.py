@@ -142,7 +142,6 @@ class AnnularGapPath(PathSection):
             eccentricity=None if own is None else own.parameter(f"e_{self.name}", "1"),
             deformation_pressure_pa=deformation_pa,
             height_factor=self.height_factor,
-            geometry_is_placeholder=self.source == "placeholder",
             deformation_tolerance=self.deformation_tolerance_percent / 100,
         )
 

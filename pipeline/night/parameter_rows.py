@@ -98,7 +98,7 @@ def _share_rows(mode: BlockFit) -> list[Row]:
     φ_i (δ_ij L − Q_j) / L².
     """
     reference, fit = mode.reference, mode.fit
-    if not reference.is_told:
+    if not reference.has_value:
         return [
             {"parameter": f"share_{path.name}", "unit": "1", "value": None}
             | {"verdict": reference.verdict, "reason": reference.reason}

@@ -199,7 +199,7 @@ def _leakage(found: LeakageJudgement, mode: BlockFit) -> Row:
         f"{name}_model_l_per_min": parts.model,
         f"{name}_total_l_per_min": parts.total,
     }
-    return row if found.is_told else dict.fromkeys(row)
+    return row if found.has_value else dict.fromkeys(row)
 
 
 def _ends(name: str, value: float, interval: Interval | None) -> Row:

@@ -15,7 +15,7 @@ import polars as pl
 from scipy.special import ndtri
 
 from leakage.estimation.block_statistics import merge
-from leakage.estimation.identifiability import TOLD
+from leakage.estimation.identifiability import WITH_VALUE
 from leakage.estimation.validation import agreement
 from leakage.watch import Estimate, NightBlocks
 from pipeline.arrays import Array
@@ -135,7 +135,7 @@ class PublishedNights:
         """Leakage at the reference conditions by a night's own fit; None where it has none."""
         fit = self.fits.get(night, {})
         upper = fit.get("fitted_leakage_upper")
-        if upper is None or fit["fitted_leakage_verdict"] not in TOLD:
+        if upper is None or fit["fitted_leakage_verdict"] not in WITH_VALUE:
             return None
         value = fit["fitted_leakage_l_per_min"]
         return Estimate(value, (upper - value) / HALF)

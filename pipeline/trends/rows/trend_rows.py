@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from leakage.course.slope import fit_slope
 from leakage.course.time_to_limit import time_to_limit
-from leakage.estimation.identifiability import TOLD
+from leakage.estimation.identifiability import WITH_VALUE
 from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
 from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
@@ -147,7 +147,11 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
             continue
         # With its interval where it is identified; otherwise why it is not.
         figure, verdict = figures[name], figures[name]["verdict"] or ""
-        why = "" if verdict in TOLD else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
+        why = (
+            ""
+            if verdict in WITH_VALUE
+            else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
+        )
         row: Row = {} if why else {end: figure[end] for end in ("value", "lower", "upper")}
         row |= {"reason": why or None}
         yield row | {"indicator": name, "unit": _unit(name)}

@@ -289,7 +289,7 @@ def test_an_error_that_hides_the_level_costs_no_leakage() -> None:
             np.testing.assert_array_equal(made.fitted, level)
         judged = made.identified(blocks.excitation)
         found = judge_leakage(made.fit, judged, blocks.excitation, REFERENCE)
-        assert found.is_told, found.reason
+        assert found.has_value, found.reason
         # model.md, section 3.
         assert found.leakage_l_per_min == pytest.approx(1.371423, rel=0.02)
         assert abs(found.leakage_l_per_min - 1.371423) <= found.interval.half_width
