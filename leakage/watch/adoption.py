@@ -58,7 +58,7 @@ from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 
 def test_for_change(state: WatchState) -> WatchState:
-    """Return With the evidence of the newest night; a change is detected where it is enough."""
+    """Return the state with the newest night's evidence, and a change where it is enough."""
     if state.first_step > state.day:
         return replace(state, evidence=NOTHING)
     evidence = state.evidence_now()
@@ -71,7 +71,7 @@ def test_for_change(state: WatchState) -> WatchState:
 
 
 def with_evidence(state: WatchState, evidence: Evidence, first: int) -> WatchState:
-    """Return With what the newest night and those before it say of starts from a place on."""
+    """Return the state with what its nights say of starts from a place on."""
     starts, weights = starts_of(first, len(state.window) - 1)
     log_ratio = evidence.of_starts(starts).log_ratio
     newest_night = float(np.logaddexp.reduce(log_ratio[STEP, -1]))
@@ -110,14 +110,14 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: A
 
 
 def _without(evidence: Evidence, starts: Places, nights: Places) -> Array:
-    """ln of the likelihood ratios of starts that leave out a night each, all causes, shape (k,)."""
+    """Return ln of the likelihood ratios of starts that leave out a night each, shape (k,)."""
     log_ratio = evidence.of_starts(starts, without=nights).log_ratio
     rest: Array = np.logaddexp.reduce(log_ratio, axis=(0, 2))
     return rest
 
 
 def _odd(alone: Array) -> Array:
-    """ln of how much likelier a night is as an odd one, from what it says alone; at least 0."""
+    """Return ln of how much likelier a night is as an odd one, by itself; at least 0."""
     odd = np.logaddexp(math.log(1.0 - choices.ODD), math.log(choices.ODD) + alone)
     return np.maximum(odd, 0.0)
 
@@ -155,7 +155,7 @@ def settling(state: WatchState) -> WatchState:
 
 
 def _reversal(state: WatchState) -> WatchState | None:
-    """The change that settles, adopted as it was, with a reversal detected; None without one.
+    """Return the change that settles, adopted as it was, with a reversal; None without one.
 
     A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
     """
@@ -169,7 +169,7 @@ def _reversal(state: WatchState) -> WatchState | None:
 
 
 def settled(state: WatchState) -> WatchState:
-    """Return With the change that was detected, as the nights up to now show it."""
+    """Return the state with the change that was detected as the nights up to now show it."""
     assert state.in_force is not None
     assert state.in_force.attribution is not None
     evidence = state.evidence_now()
@@ -244,7 +244,7 @@ def in_force_of(
 
 
 def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> Name:
-    """The name of a change; its cause is open until the evidence has reached the limit (7c.8)."""
+    """Return a change's name; its cause is open until the evidence has reached the limit."""
     name = name_of(evidence, state.machine, state.baseline, attribution.start, attribution.drain)
     before = state.in_force
     is_open = before is None or before.attribution is None or not before.change.candidates
@@ -254,7 +254,7 @@ def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> N
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
-    """True if a change goes on: of the same sign and cause; a ramp, by what may be its cause."""
+    """Return whether a change goes on, by sign and cause; a ramp, by what may be its cause."""
     if before.is_rise != is_rise or ODD_NIGHTS in (before.cause, name.cause):
         return False
     if CANNOT_BE_TOLD not in (before.cause, name.cause):
@@ -364,7 +364,7 @@ def begin(
 
 
 def adopted(state: WatchState) -> WatchState:
-    """Ten nights after it was detected a change is taken for granted, and the watch goes on."""
+    """Return the state behind a change that was detected ten nights ago: it is taken as known."""
     in_force = state.in_force
     if in_force is None or in_force.attribution is None:
         return state
@@ -438,7 +438,7 @@ def _left_free(
 
 
 def with_new_wander(state: WatchState) -> WatchState:
-    """With Q and φ of more nights, where it is time and nothing may be about to be detected."""
+    """Return the state with Q and φ of more nights, where it is time and nothing is near."""
     so_far = state.n_nights - 1
     if state.is_settling or not state.due or so_far < state.due:
         return state
@@ -482,7 +482,7 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
 
 
 def at_rest(state: WatchState) -> WatchState:
-    """Return Without a change in force where the flow is back where it was."""
+    """Return the state without a change in force where the flow is back where it was."""
     in_force = state.in_force
     if in_force is None or in_force.attribution is not None:
         return state
@@ -495,7 +495,7 @@ def at_rest(state: WatchState) -> WatchState:
 
 
 def shortened(state: WatchState) -> WatchState:
-    """Return Without the oldest nights, where they are many: they are summed up."""
+    """Return the state without its oldest nights, where they are many: they are summed up."""
     if len(state.window) < choices.WINDOW + choices.WINDOW_SLACK:
         return state
     first = len(state.window) - choices.WINDOW

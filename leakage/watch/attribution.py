@@ -186,7 +186,7 @@ def _alike(
     likeliest: int,
     machine: Machine,
 ) -> tuple[str, ...]:
-    """Causes that the nights cannot tell from the likeliest; empty where it stands alone (7c.4).
+    """Return causes that the nights cannot tell from the likeliest; empty where it stands alone.
 
     Two causes i and j of the size s are told apart by ½ s² T₂ᵢ (1 − ρᵢⱼ²) of ln likelihood in the
     mean, ρ their correlation in W, or by what the nights themselves say. Pairs and all gaps are
@@ -210,7 +210,7 @@ def _alike(
 def _between(
     evidence: Evidence, baseline: Baseline, at: Places, flow: float
 ) -> tuple[Array, Array]:
-    """W, shape (q, q), and w, shape (q,), of a start; the shape of the change is uncertain."""
+    """Return W, shape (q, q), and w, shape (q,), of a start; the change's shape is uncertain."""
     window, p = evidence.window, baseline.n_paths
     (of_after, *_), (of_score, _) = evidence.since(at)
     after, score = of_after[0], of_score[0]
@@ -234,7 +234,7 @@ def _log_ratios(
     *,
     with_several: bool,
 ) -> Array:
-    """ln of the likelihood ratios of a step of each cause, shape (d,), and of several, (d + 1,)."""
+    """Return ln of the likelihood ratios of a step, by cause and of several, shape (d + 1,)."""
     first = causes.directions.T @ score
     matrix = causes.directions.T @ change @ causes.directions
     second = np.maximum(np.diag(matrix), 1e-12)
@@ -295,7 +295,7 @@ def _together(
 def _identified(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
-    """The name of the likeliest group, or that it cannot be identified, and its probability."""
+    """Return the likeliest group's name, or that it cannot be identified, and its probability."""
     if by_name.get(TEMPERATURE_EFFECT, 0.0) >= choices.NAMED:
         return TEMPERATURE_EFFECT, by_name[TEMPERATURE_EFFECT]
     group, probability = max(groups.items(), key=lambda item: item[1])

@@ -102,7 +102,7 @@ class Columns:
         return design, (night.flow - expected) / scale
 
     def operating_point(self, night: NightBlocks) -> Array:
-        """Share of each path in a night's flow, mean pressure and mean speed, shape (p + 2,)."""
+        """Return each path's share in a night's flow, mean pressure and speed, shape (p + 2,)."""
         flows = night.drives * self.sign * self.theta
         shares = (flows / self.scale(flows.sum(axis=1))[:, None]).mean(axis=0)
         return np.concatenate([shares, night.conditions[:, 1:].mean(axis=0)])
@@ -134,7 +134,7 @@ def hat_functions(values: Array, knots: Array) -> Array:
 
 
 def knots_at(values: Array, quantiles: Sequence[float], apart: float) -> Array:
-    """Knots at quantiles of some values, without those nearer than a share of the largest."""
+    """Return knots at quantiles of values, without those nearer than a share of the largest."""
     least = apart * max(float(values.max()), 1e-9)
     knots_apart: list[float] = []
     for knot in np.quantile(values, quantiles).tolist():
@@ -247,7 +247,7 @@ class Baseline:
         return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
 
     def distance(self, night: NightBlocks) -> float:
-        """Largest distance of a night's operating conditions from the baseline's, in their sd."""
+        """Return the largest distance of a night's conditions from the baseline's, in their sd."""
         apart = (
             np.abs(self.columns.operating_point(night) - self.operating_mean) / self.operating_sd
         )
@@ -333,7 +333,7 @@ def _first_guess(drives: Array, flow: Array) -> Array:
 def _fit(
     columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
 ) -> tuple[Array, Array, BlockErrors, Array]:
-    """θ ≥ 0, the other unknowns, the errors of what is left, and the paths' standard errors."""
+    """Return θ ≥ 0, the other unknowns, the errors of the rest, the paths' standard errors."""
     p, designs = columns.n_paths, [columns.of_night(night) for night in nights]
     information, score = columns.prior(), np.zeros(columns.n)
     for night, (design, residuals) in zip(nights, designs, strict=True):
@@ -362,7 +362,7 @@ def _fit(
 
 
 def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
-    """Mean effect of each unknown over the baseline's blocks, over their mean expected flow."""
+    """Return the mean effect of each unknown over the baseline's blocks, over their mean flow."""
     expected = [columns.expected(night.drives) for night in nights]
     effects = [
         columns.design(night.drives, night.conditions, columns.scale(flow)).T @ columns.scale(flow)

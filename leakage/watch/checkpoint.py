@@ -82,7 +82,7 @@ def state_of(machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any
 
 
 def _packed(name: str, part: Any) -> Arrays:
-    """Arrays of a dataclass, and of those in it, by name; all else as the bytes of a text."""
+    """Return arrays of a dataclass and of those in it by name; all else as bytes of a text."""
     packed: Arrays = {}
     words: dict[str, Any] = {}
     for field in fields(part):
@@ -109,7 +109,7 @@ def _unpacked(kind: Any, name: str, arrays: Mapping[str, Any]) -> Any:
 
 @cache
 def _parts_of(kind: Any) -> dict[str, Any]:
-    """Dataclass of each field that has one, which may be none of it, too; None of the others.
+    """Return the dataclass of each field that has one, or may have none; None of the others.
 
     Kept, as a night of a thousand motors asks for the same hints seven thousand times.
     """

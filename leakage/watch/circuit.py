@@ -81,7 +81,7 @@ MAD_TO_SD, SD_OF_MEDIAN = 1.48, 1.25
 
 
 def _is_alike(other: Estimate, size: Estimate) -> bool:
-    """True if another motor shows a change of the same sign and, within errors, the same size."""
+    """Return whether another motor's change has the same sign and, within errors, size."""
     if other.value * size.value <= 0.0:
         return False
     if abs(other.value) < choices.ALIKE_SD * math.hypot(other.sd, choices.CIRCUIT_ERROR):

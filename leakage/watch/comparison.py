@@ -84,7 +84,7 @@ def compare(
 
 
 def _with_odd_nights(evidence: Evidence, window: Window, start: int) -> float:
-    """Logarithm of the likelihood ratio of a change at a start, where any night after may be odd.
+    """Return ln of the likelihood ratio of a change at a start, where any later night may be odd.
 
     With or without a change, all nights are ordinary, or one of them is odd and says nothing: a
     step, which every night shows, loses next to nothing by that, and what one night made all.

@@ -56,7 +56,7 @@ class Window:
         )
 
     def from_night(self, first: int, before: Array, score_before: Array) -> Window:
-        """The nights from a place on, before which stand other figures; none was odd so far."""
+        """Return the nights from a place on, behind other figures; none was odd so far."""
         return Window(
             self.days[first:],
             self.information[first:],
@@ -294,7 +294,7 @@ class Evidence:
         return float(second[0, 0, 0])
 
     def since(self, starts: Places, without: Places | None = None) -> tuple[Array, Array]:
-        """Information, (3, k, q, q), and scores, (2, k, q), since starts, by powers of the day."""
+        """Return information, (3, k, q, q), and scores, (2, k, q), by powers of the day."""
         n_nights = (len(self.window) - starts).astype(float)
         share = self.wander.share_of_short(n_nights)
         # At other operating conditions the model's error is that of all nights alike, those within
@@ -306,18 +306,18 @@ class Evidence:
         return sums[..., :-1], sums[:2, ..., -1]
 
     def operates_otherwise(self, starts: Places) -> Mask:
-        """Whether a start's nights have other operating conditions than the baseline's, (k,)."""
+        """Return whether starts' nights have other conditions than the baseline's, (k,)."""
         return self.operating_beyond(starts) > choices.OPERATING_OTHER
 
     def operating_beyond(self, starts: Places) -> Array:
-        """Mean distance of the conditions since each start beyond what is usual, shape (k,)."""
+        """Return the mean distance of conditions since each start beyond the usual, shape (k,)."""
         n = len(self.window)
         apart = (self.sums.distance[n] - self.sums.distance[starts]) / (n - starts)
         beyond: Array = np.clip(apart - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST)
         return beyond
 
     def _operating_error(self, starts: Places, after: Array, *, is_free: bool) -> Array:
-        """(E⁻¹ + A₊)⁻¹ of the paths, (k, p, p), E their error at conditions not seen before."""
+        """Return (E⁻¹ + A₊)⁻¹ of the paths, (k, p, p), E their error at other conditions."""
         p = len(self.operating_error)
         variance = np.zeros((len(starts), p, p))
         if is_free:
@@ -328,7 +328,7 @@ class Evidence:
         return error
 
     def risen(self, starts: Places) -> Array:
-        """By how much a ramp of each start has risen above its mean in the baseline, shape (k,)."""
+        """Return how far a ramp of each start is above its mean in the baseline, shape (k,)."""
         days = self.window.days
         since = (days - days[starts][:, None] + 1).clip(0)
         before = since[:, : self.first_step].sum(axis=1) / max(self.first_step, 1)
@@ -336,7 +336,7 @@ class Evidence:
         return risen
 
     def _weighed(self, first: Array, second: Array, starts: Places) -> StartEvidence:
-        """Likelihood ratios of T₁ and T₂, the sizes integrated out."""
+        """Return likelihood ratios of T₁ and T₂, the sizes integrated out."""
         priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
         mean = np.stack([prior[0] for prior in priors])[:, None, :]
         spread = np.stack([prior[1] for prior in priors])[:, None, :]
@@ -354,7 +354,7 @@ class Evidence:
         return StartEvidence(log_ratio, size, sd, first, second)
 
     def tempered(self, gain: Array, starts: Places) -> Array:
-        """Twice a gain of ln likelihood, (…, k, d), as the wander is an estimate: Student's t."""
+        """Return twice a gain of ln likelihood, (…, k, d), by Student's t: wander is estimated."""
         n_since = (len(self.window) - starts).astype(float)
         freedom = self.wander.degrees_of_freedom(self.n_nights, n_since)[:, None]
         most = float(np.max(gain))

@@ -61,7 +61,7 @@ def sudden_rise(rises: Sequence[Rise]) -> Rise | None:
 
 
 def is_going_on(rises: Sequence[Rise], reported: float) -> bool:
-    """True unless the latest blocks show that half of a rise is gone."""
+    """Return False if the latest blocks show that half of a rise is gone."""
     return rises[0].change.upper >= choices.INTRADAY_SHARE * reported
 
 

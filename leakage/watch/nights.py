@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from scipy.special import ndtr, ndtri
 
@@ -163,7 +163,7 @@ class Change:
 
 
 def grown_as(change: Change, flow: Estimate) -> Estimate | None:
-    """Growth of a change's path where the flow has changed by so much; None where it has none.
+    """Return the growth of a change's path, the flow having changed so; None where it has none.
 
     The path's share is that of the baseline by which it was named, whatever baseline period came
     since.
@@ -194,6 +194,4 @@ class Verdict:
     # Smallest change of all flows that ten nights like these would have detected; None where no
     # night may hold one yet.
     smallest: float | None
-    # Distance of the night's operating conditions from the baseline's, in its standard deviations.
-    distance: float = field(default=0.0)
     is_beyond: bool = False  # Whether this night alone is beyond `smallest`, nothing in force.

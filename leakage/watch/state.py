@@ -47,7 +47,7 @@ class Surroundings:
 def surroundings(
     window: Window, sums: Sums, own_row: Array, direction: Array, end: int
 ) -> Surroundings:
-    """Of the nights before a place, beside a straight line in time along a direction.
+    """Return what nights before a place say, beside a straight line in time along a direction.
 
     What rises evenly is wear, or none: it is not taken for an effect of a season.
     """
@@ -91,7 +91,7 @@ class Level:
     operating_error: Array
 
     def mean(self, nights: slice = EVERY) -> Estimate:
-        """Mean of some nights: they share their serial correlation, and the errors of the model.
+        """Return the mean of nights: they share serial correlation and the errors of the model.
 
         Nights weigh by 1 / (noise + shift + error of their operating conditions²): a night of
         another duty says less (model.md, 7c.2).
@@ -399,7 +399,7 @@ def reported_change(state: WatchState) -> Change | None:
 
 
 def change_in_force(state: WatchState) -> Change | None:
-    """The change in force; of all but a first one that settles, the size is now against before."""
+    """Return the change in force; of all but a first that settles, sized now against before."""
     in_force = state.in_force
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change

@@ -51,7 +51,7 @@ class Wander:
         return float(self.memory @ (SHARE * PHI))
 
     def degrees_of_freedom(self, n_nights: int, n_since: Array) -> Array:
-        """Of the evidence of a change so many nights ago, as Q is an estimate from `n_nights`.
+        """Return those of a change's evidence so many nights ago: Q is an estimate from `n_nights`.
 
         They are correlated, and of what lasts long they show few.
         """
@@ -62,7 +62,7 @@ class Wander:
         return freedom
 
     def inflation(self, n_nights: Array) -> Array:
-        """By what the variance of a mean of so many nights is larger, shape of `n_nights`."""
+        """Return by what the variance of a mean of nights is larger, shape of `n_nights`."""
         phi, n = PHI[:, None], n_nights
         series = phi / (1.0 - phi) - phi * (1.0 - phi**n) / (n * (1.0 - phi) ** 2)
         inflation: Array = 1.0 + 2.0 * (self.memory * SHARE) @ series
@@ -145,7 +145,7 @@ def estimate_wander(
 
 
 def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory: Array) -> Array:
-    """Q of correlated nights, which scatter less about their own line than about the true one."""
+    """Return Q of correlated nights, which scatter less about their own line than the true one."""
     n, prior = len(days), choices.WANDER_NIGHTS
     line = np.linalg.qr(np.column_stack([np.ones(n), days - days.mean()]))[0]
     alike = sum(
@@ -159,7 +159,7 @@ def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory:
 
 
 def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
-    """Of nights by each memory of the grid, shape (n, n)."""
+    """Return correlations of nights by each memory of the grid, shape (n, n)."""
     apart = np.abs(days[:, None] - days).astype(float)
     for phi, share in zip(PHI, SHARE, strict=True):
         yield share * phi**apart + (1.0 - share) * np.eye(len(days))
@@ -195,7 +195,7 @@ def _squared_shifts(
     lines: Array,
     certain: Array,
 ) -> Array:
-    """Expected outer products of the nights' shifts, shape (n, p, p); the mean is uncertain too."""
+    """Return expected outer products of the nights' shifts, (n, p, p); the mean is uncertain."""
     p = len(spread)
     inner = np.linalg.inv(np.linalg.inv(spread) + information[:, :p, :p])
     rest = score[:, :p] - (information[:, :p] @ mean[:, :, None])[:, :, 0]

@@ -128,12 +128,11 @@ class Watch:
             on_first_baseline(state, slice(-1, None)),
             mean_change(state),
             detection_limit(state),
-            float(state.window.distance[-1]),
             nights_beyond(state) > 0,
         )
 
     def change_since(self, day: int) -> Estimate | None:
-        """Change of the leakage from a day on; None without nights on both sides (model.md, 7c.5).
+        """Return the leakage's change from a day on; None without nights on both sides (7c.5).
 
         The level of at most ten nights from then on, less that of the ten before. An adopted change
         is in no window any more: it is the change where it may have begun then.
@@ -182,7 +181,7 @@ class Watch:
         return flow * (1.0 + float(row @ self.state.baseline.unknowns))
 
     def _row_at(self, drives: Array, conditions: Array) -> tuple[Array, float]:
-        """What a unit of each unknown is of the flow at some conditions, and that flow by theta."""
+        """Return what a unit of each unknown is of the flow at conditions, and that flow by θ."""
         columns = self.state.baseline.columns
         expected = columns.expected(drives[None])
         row: Array = columns.design(drives[None], conditions[None], np.maximum(expected, 1e-12))[0]

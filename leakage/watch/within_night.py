@@ -44,7 +44,7 @@ class BlockErrors:
     def covariance(
         self, middle_s: Array, wider: Array | None = None, *, with_night: bool = False
     ) -> Array:
-        """Covariance of a night's residuals, shape (b, b); `wider` multiplies σ_e² by block."""
+        """Return the residuals' covariance, shape (b, b); `wider` multiplies σ_e² by block."""
         apart = np.abs(middle_s[:, None] - middle_s)
         own = np.full(len(middle_s), self.block**2)
         covariance: Array = self.slow**2 * np.exp(-apart / self.memory_s)
@@ -63,7 +63,7 @@ def estimate_errors(
     each = np.arange(apart.shape[1])
 
     def likelihood(errors: BlockErrors) -> float:
-        """−2 ln of it, up to a constant."""
+        """Return −2 ln of it, up to a constant."""
         slow = errors.slow**2 * np.exp(-apart / errors.memory_s) + errors.night**2
         covariance = np.where(is_real, slow, 0.0)
         own = is_real[:, each, each]
@@ -89,7 +89,7 @@ def estimate_errors(
 
 
 def _pieces(nights: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Mask, Array]:
-    """Pieces of nights of one length, the shorter ones filled up; of g different rows of times.
+    """Return pieces of nights of one length, shorter ones filled up; of g rows of times.
 
     Times between blocks [s], products of their residuals, and what is not filled up, shape
     (g, b, b) each; how many pieces have these times, (g,).
@@ -137,7 +137,7 @@ def night_information(
 
 
 def _wider(paths: Array, residuals: Array, middle_s: Array, errors: BlockErrors) -> Array:
-    """Factors on the variance of blocks that the others of their night contradict, shape (b,)."""
+    """Return factors on the variance of blocks that others of their night contradict, (b,)."""
     wider = np.ones(len(residuals))
     if len(residuals) < 5:
         return wider

@@ -44,7 +44,7 @@ def change(cause: str, **more: Any) -> Change:
 def watched(found: Change | None = None, **more: Any) -> NightState:
     """Night 30 with a baseline of eight nights; `more` are fields of it or of its verdict."""
     size = Estimate(0.0, 0.01) if found is None else found.size
-    verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023, 0.9)
+    verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023)
     own = Baseline(night_of(0), night_of(7), 8, Conditions(150.0, 50.0, 40.0), (1e-14,) * 3)
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
     watch: Any = SimpleNamespace(state=SimpleNamespace(machine=machine, in_force=None))
