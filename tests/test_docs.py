@@ -47,7 +47,8 @@ NO_CODES = {"log_files", "log_note", "log_of_samples"}
 OLD_WORDS = re.compile(
     r"\b(told|tells|would tell|goes on|a look at|its course|(the motor's|its) own conditions"
     r"|cannot be told|over 99 % probable|lack of fit|refused samples|not white|zeros of the sensors"
-    r"|the model before|its zero is known|tell as much as|nothing is known since)\b",
+    r"|the model before|no motor claims|goes into no|its zero is known|tell as much as"
+    r"|nothing is known since)\b",
     re.IGNORECASE,
 )
 

@@ -39,7 +39,7 @@ def progress_bar(what: str, *, is_shown: bool = True) -> Iterator[Callable[[int,
 
 @contextmanager
 def repeated(call: Callable[[], None]) -> Iterator[None]:
-    """Repeat a call in a thread until the block ends."""
+    """Repeat a call in a thread until the block ends, and once then."""
     over = Event()
 
     def repeat() -> None:
@@ -53,6 +53,7 @@ def repeated(call: Callable[[], None]) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
+        call()
 
 
 def nights_done(

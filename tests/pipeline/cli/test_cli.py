@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -130,6 +132,23 @@ def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> No
     assert fits["status"].to_list() == ["ok"] * 3
 
 
+def test_a_terminal_has_a_bar_of_nights(own_fleet: OwnFleet) -> None:
+    fleet = without_workers(own_fleet(PARQUET))
+    main, terminal = pty.openpty()
+    code = "import sys; from pipeline.cli import main; main()"
+    command = [sys.executable, "-c", code, "fit-fleet", str(fleet)]
+    process = subprocess.Popen(command, stderr=terminal, stdout=subprocess.DEVNULL)
+    os.close(terminal)
+    drawn = b""
+    with contextlib.suppress(OSError):  # as the other end is closed
+        while read := os.read(main, 4096):
+            drawn += read
+    os.close(main)
+    assert process.wait(timeout=60) == 0
+    assert "nights" in (text := drawn.decode())
+    assert "3/3" in text
+
+
 def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     fleet = without_workers(own_fleet(CSV, PARQUET))
     break_log(fleet, PARQUET)
@@ -139,7 +158,14 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert [motor["event"] for motor in motors] == ["motor", "motor"]
     told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
     files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
-    told |= {"nights": {"ok": 3}, "files": files, "growing": [], "left_out": [], "stays": {}}
+    told |= {
+        "nights": {"ok": 3},
+        "files": files,
+        "growing": [],
+        "left_out": [],
+        "stays": {},
+        "findings": [],
+    }
     assert motors[0] == told
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
