@@ -26,6 +26,7 @@ from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
 from pipeline.setup.operation import night_of_log
+from pipeline.setup.qualities import quality_words
 from pipeline.setup.signals import signals_of
 from pipeline.setup.sniff import header_of, sniff
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
@@ -118,6 +119,10 @@ def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -
 def unused_qualities(path: Path, file: MotorFile) -> Iterator[str]:
     """Yield the channels of which the log has a quality that the config does not name."""
     with suppress(LogError):
+        header = header_of(path, file.logs)
+        # To take a log apart costs more than all else of a check.
+        if header and not any(map(quality_words, header)):
+            return
         signals = signals_of(sniff(path))
         qualities = {
             column.keys["source"]: column.quality for column in signals.columns if column.quality

@@ -93,8 +93,8 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
                 column.name: column.unit if column.kind != "typed" else "" for column in columns
             }
         lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
-        rows = [_cells(line, logs.separator) for line in lines if line.strip()]
-        names, *units = rows[: 1 + logs.unit_rows] or [()]
+        header = islice(filter(str.strip, lines), 1 + logs.unit_rows)
+        names, *units = [_cells(line, logs.separator) for line in header] or [()]
         return dict.fromkeys(names, "") | dict(zip(names, _units_among(units), strict=False))
 
 
