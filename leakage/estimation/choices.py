@@ -59,9 +59,9 @@ LEAST_FREEDOM_LEAKAGE = 2.0
 # thesis draws them; half-width of a normal 99 % band, and the probability beyond it.
 LONGEST_LAG = 25
 BAND, LEVEL = 2.576, 0.01
-# Variances are summed over the first of these numbers of lags that is this many times the sum of
-# the errors' correlations: what is left out is below e⁻¹⁰.
-SUMS, MEMORIES_SUMMED = (300, 1200, 4800), 10.0
+# Variances are summed over the first of these numbers of lags within which the correlations of the
+# errors come to an end, or over the last.
+SUMS = (300, 1200, 4800)
 # Of more samples than these, evenly spread stretches are tested: so many tell all that matters.
 STRETCHES, STRETCH = 8, 8192
 # A lag with fewer pairs than this share of the samples goes into no sum and no statistic.

@@ -62,7 +62,6 @@ from leakage.estimation.choices import (
     LEAST_VARIANCE,
     LEVEL,
     LONGEST_LAG,
-    MEMORIES_SUMMED,
     STRETCH,
     STRETCHES,
     SUMS,
@@ -252,7 +251,7 @@ class _Errors:
             products = spectra.products(spectra)
             correlations = np.where(is_known, products / np.maximum(pairs, 1.0), 0.0)
             n_effective = effective_sample_count(n, correlations[is_known])
-            if n_effective is not None and 2.0 * summed * n_effective >= MEMORIES_SUMMED * n:
+            if n_effective is not None:
                 break
         around = np.convolve(present, np.ones(2 * LONGEST_LAG + 1), "same")
         inner = around > 2 * LONGEST_LAG + 0.5
@@ -338,8 +337,8 @@ def _covariances(errors: _Errors, own: Array) -> Array:
 def _uneven_variance(errors: _Errors, series: Array, axes: Array) -> Array:
     """Return κ of each component: its scatter where errors are larger as it is, shape (m,)."""
     windows = sliding_window_view(series, 2 * LONGEST_LAG + 1)[errors.thinned - LONGEST_LAG]
-    # Lag −25 is the input 25 samples later, which stands last.
-    weighted = windows @ np.ascontiguousarray(axes[::-1])
+    # The axes of a symmetric Toeplitz matrix are the same from either end, but for their signs.
+    weighted = windows @ axes
     at = np.searchsorted(errors.place, errors.thinned)
     error, squares = errors.scaled[at], weighted**2
     # What follows the input is what is tested for, not scatter.

@@ -61,6 +61,21 @@ def test_what_cannot_be_tested_says_why(
     assert (found.n, found.n_effective, found.memory) == (n, None, None)
 
 
+def test_errors_beyond_rounding_are_tested() -> None:
+    error = 3e-9 * np.random.default_rng(47).uniform(-1, 1, 2000)
+    found = analyse_residuals(error, {}, np.arange(2000), rounding=1e-9)
+    assert found.whiteness.verdict == "passed"
+
+
+def test_a_lag_with_few_pairs_has_no_value() -> None:
+    """Every second sample is there, and at the end all: odd lags have 199 of 1700 pairs."""
+    index = np.append(2 * np.arange(1500), 3000 + np.arange(200))
+    found = analyse_residuals(np.random.default_rng(48).normal(size=1700), {}, index).whiteness
+    assert np.isnan(found.values[1::2]).all()
+    assert np.isfinite(found.values[::2]).all()
+    assert found.verdict == "passed"
+
+
 def check_untested(test: LagTest, words: str) -> None:
     assert (test.verdict, test.p_value) == ("not_tested", None)
     assert words in (test.reason or "")
@@ -106,6 +121,19 @@ def covariance(a: Array, b: Array, lag: int, index: Places) -> tuple[float, int]
     """Mean of a(t) b(t − lag) over the pairs there are, and how many."""
     _, late, early = np.intersect1d(index, index + lag, return_indices=True)
     return float(a[late] @ b[early]) / max(len(late), 1), len(late)
+
+
+def test_correlations_of_a_long_series_are_those_of_the_definition() -> None:
+    generator = np.random.default_rng(49)
+    index = gappy(12_000, generator)
+    error, u = autoregression(0.7, 12_000, generator), autoregression(0.9, 12_000, generator)
+    found = analyse_residuals(error, {"u": u}, index)
+    e, v = ((values - values.mean()) / values.std() for values in (error, u))
+    for lag in (1, 13, 25):
+        assert found.whiteness.values[lag] == pytest.approx(covariance(e, e, lag, index)[0])
+    for lag in (-25, -3, 0, 25):
+        expected = covariance(e, v, lag, index)[0]
+        assert found.independence["u"].values[lag + 25] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.fixture(scope="module", params=["whole", "gaps"])
@@ -194,13 +222,15 @@ def test_the_probability_of_independence_is_that_of_the_definition(
     assert independence(error, u, index).p_value == pytest.approx(expected, rel=1e-5)
 
 
-def test_variance_is_summed_over_ten_times_the_errors_memory() -> None:
+def test_variance_is_summed_until_the_errors_correlations_end() -> None:
     """P of errors that remember for 200 samples needs more than 300 lags."""
     generator = np.random.default_rng(12)
     error, u = (autoregression(math.exp(-1 / 200), 60_000, generator) for _ in range(2))
     expected = (1 + math.exp(-2 / 200)) / (1 - math.exp(-2 / 200))
-    found = (independence(error, u).bounds[25] / 2.576) ** 2 * 60_000
-    assert found == pytest.approx(expected, rel=0.25)
+    found = analyse_residuals(error, {"u": u}, np.arange(60_000))
+    variance = (found.independence["u"].bounds[25] / 2.576) ** 2 * 60_000
+    assert variance == pytest.approx(expected, rel=0.25)
+    assert found.n_effective == pytest.approx(60_000 / 400, rel=0.3)
 
 
 def test_variance_has_a_floor() -> None:
