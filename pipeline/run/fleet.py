@@ -135,8 +135,8 @@ def _copy_fault(fleet: Fleet) -> str:
 
 def _require_space(output: Path, minimum_mib: float) -> None:
     """Refuse a run with little room on the disk, which would end it half way."""
-    there = next(one for one in (output, *output.parents) if one.exists())
-    free_mib = shutil.disk_usage(there).free / 1024**2
+    present = next(folder for folder in (output, *output.parents) if folder.exists())
+    free_mib = shutil.disk_usage(present).free / 1024**2
     if free_mib < minimum_mib:
         raise StoreError(
             "disk_space",
@@ -169,7 +169,7 @@ def _run(
     except KeyboardInterrupt:
         is_stopped = True
     ends = [time.perf_counter()]
-    outcomes.sort(key=lambda one: one.motor_id)
+    outcomes.sort(key=lambda outcome: outcome.motor_id)
     config_hash = config_hash_of(request.specs)
     run_id = run_id_of(outcomes, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
@@ -181,7 +181,7 @@ def _run(
     heartbeat.say(stage="trends")
     trends: list[TrendOutcome] = []
     if not is_stopped:
-        changed = {one.motor_id: one.changed_from for one in outcomes}
+        changed = {outcome.motor_id: outcome.changed_from for outcome in outcomes}
         try:
             trends = make_trends(fleet, request.clock, publisher, workers, changed)
         except KeyboardInterrupt:
@@ -189,11 +189,11 @@ def _run(
     with interrupts_held() as came:
         alarms = publish_trends(publisher, trends)
         if not is_stopped:
-            publish_other_nights(publisher, [one.motor_id for one in outcomes])
+            publish_other_nights(publisher, [outcome.motor_id for outcome in outcomes])
         publish_whole_tables(publisher, fleet)
         failures = {motor_id: loss for trend in trends for motor_id, loss in trend.failures.items()}
-        outcomes = [_with_trends(one, failures.get(one.motor_id)) for one in outcomes]
-        if any(one.error_code == "store_read" for one in outcomes):
+        outcomes = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in outcomes]
+        if any(outcome.error_code == "store_read" for outcome in outcomes):
             # The file that a task could not read is named; the next run makes it anew.
             damage += find_damage(state, every_file=True)
         ends.append(time.perf_counter())
@@ -208,7 +208,9 @@ def _run(
             seconds_by_stage={name: end - start for name, start, end in stages},
             damage=damage,
             damage_left=tuple(
-                damage_left(damage, fitted, {one.motor_id: one.nights for one in outcomes})
+                damage_left(
+                    damage, fitted, {outcome.motor_id: outcome.nights for outcome in outcomes}
+                )
             ),
         )
         heartbeat.say(stage="recording")

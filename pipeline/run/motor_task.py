@@ -121,7 +121,7 @@ class MotorRun(NightPlan):
         sign_of_life("")
         with self.timed("store_s"):
             self._stage()
-        n_refitted = sum(one.tables is not None for one in self.done.values())
+        n_refitted = sum(outcome.tables is not None for outcome in self.done.values())
         return replace(self.outcome(), n_refitted=n_refitted, findings=self.findings)
 
     def _take_back(self, label: dt.date) -> None:
@@ -243,12 +243,12 @@ class MotorRun(NightPlan):
         with self.timed("read_s"):
             names = self.logs.of_night(label)
             read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
-        broken = [one for name in names if (one := self.logs.files[name]).status != "ok"]
+        broken = [file for name in names if (file := self.logs.files[name]).status != "ok"]
         if broken:
             return unfitted(
                 self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
             )
-        contents = [one for one in read if one is not None]
+        contents = [content for content in read if content is not None]
         channels = slice_night(contents, here, reaches_us(self.spec))
         # The night has what it needs of them, and gives it up bit by bit.
         del read, contents

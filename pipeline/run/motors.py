@@ -74,7 +74,7 @@ def unchanged_motors(
             return
         processed = read_processed(state, task.spec.motor_id)
         before = processed.files
-        known = {name: before[name] for name, one in seen.items() if one.is_as(before.get(name))}
+        known = {name: before[name] for name, file in seen.items() if file.is_as(before.get(name))}
         if not seen or len(known) < len(seen):
             continue
         with suppress(Exception, PanicException):  # which the motor's task tells

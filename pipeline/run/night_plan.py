@@ -151,7 +151,7 @@ class NightPlan:
 
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
-        present, found = self.logs.present(), {}
+        present, steps = self.logs.present(), {}
         for label, record in self.nights_before.items():
             if not record.statistics_hash:
                 continue
@@ -163,11 +163,11 @@ class NightPlan:
                 is_of_blocks = record.statistics_hash == statistics and record.status == OK
                 if is_of_blocks or label in present:
                     work = Work.REFIT if is_of_blocks else Work.READ
-                    found[label] = Step(work, self.why_anew)
+                    steps[label] = Step(work, self.why_anew)
                 elif record.status in WITH_SAMPLES:
-                    found[label] = Step(Work.STAY, f"{self.why_anew}, and {GONE}")
+                    steps[label] = Step(Work.STAY, f"{self.why_anew}, and {GONE}")
         asked = filter(self.task.asks_for, present)
-        return found | dict.fromkeys(asked, Step(Work.READ, "asked for"))
+        return steps | dict.fromkeys(asked, Step(Work.READ, "asked for"))
 
     def open_nights(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
@@ -216,21 +216,21 @@ class NightPlan:
         self.stays[label] = why
 
     def holes(self) -> list[dt.date]:
-        """Nights between two logs that no log covers and no row tells of yet."""
+        """Nights between two logs that no log covers and that have no row yet."""
         if not self.done:
             return []
-        told = self.logs.present() | self.records.keys()
+        known = self.logs.present() | self.records.keys()
         # A file that cannot be read may stand far off: its night is a guess.
         readable = [file for file in self.logs.files.values() if file.status == "ok"]
         certain = {label for record in readable for label in labels_of(record)}
-        certain |= {label for label, one in self.records.items() if one.status != FAILED}
+        certain |= {label for label, record in self.records.items() if record.status != FAILED}
         between = {
             label
             for first, last in pairwise(sorted(certain))
             if last - first <= LONGEST_HOLE
             for label in nights_between(first, last)
         }
-        return sorted(label for label in between - told if self.task.wants(label))
+        return sorted(label for label in between - known if self.task.wants(label))
 
     def roller_decision_due(self) -> dict[str, Any] | None:
         """Return the decision on the rollers' scale if it is to be made: once in a baseline."""
@@ -294,15 +294,15 @@ class NightPlan:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:
             return None
-        label = min(label for label, one in self.done.items() if one.status == status)
+        label = min(label for label, night in self.done.items() if night.status == status)
         return f"night {label}: {self.done[label].reason}"
 
     def outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
         errors: list[tuple[str | None, str | None]] = [
-            (one.error_code, f"night {label}: {one.reason}")
-            for label, one in sorted(self.done.items())
-            if one.status == FAILED
+            (night.error_code, f"night {label}: {night.reason}")
+            for label, night in sorted(self.done.items())
+            if night.status == FAILED
         ]
         errors += [
             (record.error_code, record.message)
@@ -386,7 +386,7 @@ def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
     decisions = decisions_of(specs, read_decisions(output))
     with read_state_file(output) as state:
         records, settings = read_records(state), read_settings(state)
-    for spec in (as_published(one, settings.get(one.motor_id)) for one in specs):
+    for spec in (as_published(spec, settings.get(spec.motor_id)) for spec in specs):
         record = records.get(spec.motor_id)
         if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
             before, now = settings.get(spec.motor_id, {}), settings_of(spec)

@@ -141,7 +141,9 @@ def newest_of_fleet(fleet: Fleet, state: State, clock: dt.datetime) -> NewestNig
 def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     state = publisher.state
-    records = {motor_id: one for some in made for motor_id, one in sorted(some.records.items())}
+    records = {
+        motor_id: record for task in made for motor_id, record in sorted(task.records.items())
+    }
 
     def published() -> None:
         for motor_id, record in records.items():
@@ -150,10 +152,10 @@ def publish_trends(publisher: Publisher, made: Sequence[TrendOutcome]) -> list[M
             note_published(state, motor_id, record.last_night)
         if records:
             state.set_meta("latest", "")
-        pass_over(state, {name for one in made for name in one.silent})
+        pass_over(state, {name for task in made for name in task.silent})
 
     publisher.nights("trends", TREND_TABLES, sorted(records), published)
-    new = [row for one in made for row in one.alarms]
+    new = [row for task in made for row in task.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 
 
@@ -197,9 +199,9 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
     own = {name for motor in fleet.motors for name in (motor.motor_id, motor.file.formerly)}
     gone = _gone_motors(state, published, own, decisions)
     made_of = f"{len(decisions)} decisions"
-    there = dict(published.select("motor_id", pl.col("state") == REMOVED).rows())
+    before = dict(published.select("motor_id", pl.col("state") == REMOVED).rows())
     expected = {name: name in gone for name in (*motor_ids, *gone)}
-    if there == expected and state.meta("latest") == made_of:
+    if before == expected and state.meta("latest") == made_of:
         return
     try:
         some = latest_rows(output, motor_ids, gone)
@@ -246,7 +248,7 @@ def config_hash_of(specs: Sequence[MotorSpec]) -> str:
 
 def run_id_of(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
     """Hash of the code, the settings and the contents that were read."""
-    inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
+    inputs = [text for outcome in outcomes for text in (outcome.motor_id, *outcome.inputs)]
     text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -275,7 +277,7 @@ def publish_run(
         "n_motors_failed": len(result.failed),
         "n_nights": result.n_nights,
         "total_s": result.seconds,
-        "damage": [str(one) for one in result.damage],
+        "damage": [str(fault) for fault in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.add(f"{started:%Y-%m}", {RUNS: [run], RUN_MOTORS: rows})

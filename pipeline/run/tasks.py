@@ -152,12 +152,12 @@ class MotorTask:
     @property
     def lost_nights(self) -> dict[dt.date, Loss]:
         """Nights that this run's workers were lost in, each time."""
-        return {dt.date.fromisoformat(one.part): one for one in self.given_up if not one.log}
+        return {dt.date.fromisoformat(loss.part): loss for loss in self.given_up if not loss.log}
 
     @property
     def silent(self) -> dict[str, Loss]:
         """Logs that did not answer, and patterns of logs whose folders did not."""
-        return {one.log: one for one in self.given_up if one.log}
+        return {loss.log: loss for loss in self.given_up if loss.log}
 
     def asks_for(self, label: dt.date) -> bool:
         """True where a person wants a night made anew, whatever its logs lack."""

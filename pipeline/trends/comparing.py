@@ -40,8 +40,8 @@ class NightsCompared:
         found = self.found
         return {
             "motor_id": self.motor_id,
-            "before": [str(one) for one in self.before],
-            "after": [str(one) for one in self.after],
+            "before": [str(night) for night in self.before],
+            "after": [str(night) for night in self.after],
             "change": found.change.value,
             "change_lower": found.change.lower,
             "change_upper": found.change.upper,
@@ -64,8 +64,10 @@ class NightsCompared:
         ]
         if found.probability > EVEN:
             likeliest = sorted(found.candidates.items(), key=lambda item: -item[1])
-            told = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
-            lines.append(f"cause: {', '.join(told)}")
+            causes = [
+                f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]
+            ]
+            lines.append(f"cause: {', '.join(causes)}")
         if found.operates_otherwise:
             lines.append("load or speed are others than before: the interval is wider by that")
         return [*lines, f"the model misses {100 * found.lack_of_fit:.1f} % of the flow before"]
@@ -88,7 +90,7 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     borders = [event.date for event in spec.file.baseline_events if event.date != at]
     first = max((border for border in borders if border < at), default=dt.date.min)
     end = min((border for border in borders if border > at), default=dt.date.max)
-    nights = [one for one in nights_back(output, BLOCKS) if first <= one < end]
+    nights = [night for night in nights_back(output, BLOCKS) if first <= night < end]
     earlier = [night for night in nights if night < at][:most]
     later = [night for night in nights if night >= at][-most:]
     watch_columns = WatchColumns.of(spec, at)

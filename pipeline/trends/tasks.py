@@ -86,7 +86,7 @@ class Circuit:
             for night in (changed_from.get(motor_id), record.redo_from)
             if night is not None
         ]
-        found: dict[str, tuple[dt.date | None, dt.date]] = {}
+        spans: dict[str, tuple[dt.date | None, dt.date]] = {}
         for motor_id, record in self.records.items():
             last, first = newest_night.of(motor_id), None
             if record is None:
@@ -97,19 +97,19 @@ class Circuit:
                 first = min([record.last_night + DAY, *touched])
             if record is not None and motor_id not in changed_from:
                 last = min(last, record.last_night)
-            found[motor_id] = (first if first is not None and first <= last else None, last)
-        return found
+            spans[motor_id] = (first if first is not None and first <= last else None, last)
+        return spans
 
 
 def decisions_of(
     specs: Iterable[MotorSpec], decisions: Iterable[Decision]
 ) -> dict[str, tuple[Decision, ...]]:
     """Decisions of people on some motors, by motor."""
-    found: dict[str, list[Decision]] = {spec.motor_id: [] for spec in specs}
+    by_motor: dict[str, list[Decision]] = {spec.motor_id: [] for spec in specs}
     for decision in decisions:
-        if decision.motor_id in found:
-            found[decision.motor_id].append(decision)
-    return {motor_id: tuple(said) for motor_id, said in found.items()}
+        if decision.motor_id in by_motor:
+            by_motor[decision.motor_id].append(decision)
+    return {motor_id: tuple(some) for motor_id, some in by_motor.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +141,8 @@ def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> 
     published = nights_back(state.output, NIGHTS)
     nights = merge(published, sorted(unpublished, reverse=True), reverse=True)
     for night, _ in groupby(nights):
-        found = read_rows(state.output, NIGHTS, motor_ids, columns, nights=[night]).rows()
-        rows = {motor_id: tuple(row) for motor_id, *row in found} | unpublished[night]
+        published_rows = read_rows(state.output, NIGHTS, motor_ids, columns, nights=[night]).rows()
+        rows = {motor_id: tuple(row) for motor_id, *row in published_rows} | unpublished[night]
         for motor_id, (status, _) in rows.items():
             if status in WITH_SAMPLES:
                 further.setdefault(motor_id, night)

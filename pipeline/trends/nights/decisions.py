@@ -107,7 +107,10 @@ def _write(state: State, decisions: Iterable[Decision]) -> None:
     state.write_all(
         "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
         [
-            tuple(one.isoformat() if isinstance(one, dt.date) else one for one in astuple(decision))
+            tuple(
+                value.isoformat() if isinstance(value, dt.date) else value
+                for value in astuple(decision)
+            )
             for decision in decisions
         ],
     )
@@ -115,10 +118,10 @@ def _write(state: State, decisions: Iterable[Decision]) -> None:
 
 def _read(state: State) -> tuple[Decision, ...]:
     columns = ", ".join(Decision.__slots__)
-    found = (
+    decisions = (
         Decision(
             motor, of, dt.datetime.fromisoformat(time), kind, dt.date.fromisoformat(night), *more
         )
         for motor, of, time, kind, night, *more in state.rows(f"SELECT {columns} FROM decisions")
     )
-    return tuple(sorted(found, key=lambda one: (one.time, one.motor_id, one.indicator)))
+    return tuple(sorted(decisions, key=lambda said: (said.time, said.motor_id, said.indicator)))

@@ -153,27 +153,29 @@ class BaselinePeriod:
 def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod, ...]:
     """The baseline periods of the leakage, or of a sensor's zero."""
     starts: dict[int, list[str]] = {0: []}
-    found = [] if of_what in SENSORS else _changed_settings(history)
-    for event in sorted(history.spec.file.baseline_events, key=lambda one: one.date):
+    borders = [] if of_what in SENSORS else _changed_settings(history)
+    for event in sorted(history.spec.file.baseline_events, key=lambda event: event.date):
         note = f": {event.note}" if event.note else ""
         # What happened before the first night is nothing that its nights show.
         is_border = of_what in SENSORS or event.kind not in CARRIED
         if is_border and event.date >= history.nights[0]:
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
-            found.append((history.place_from(event.date), words))
+            borders.append((history.place_from(event.date), words))
     for decision in history.decisions:
         # Of a sensor's zero, or under any other name of the leakage; without one of both.
         reset = decision.indicator if decision.indicator in (*SENSORS, "") else LEAKAGE
         if decision.kind == "baseline_reset" and reset in (of_what, ""):
             note = f": {decision.note}" if decision.note else ""
-            found.append((history.place_from(decision.night), f"reset from {decision.night}{note}"))
-    for place, words in found:
+            borders.append(
+                (history.place_from(decision.night), f"reset from {decision.night}{note}")
+            )
+    for place, words in borders:
         if place < len(history):
             starts.setdefault(place, []).append(words)
-    borders = [*sorted(starts), len(history)]
+    places = [*sorted(starts), len(history)]
     return tuple(
         BaselinePeriod(first, end, "; ".join(starts[first]) or FIRST_NIGHTS)
-        for first, end in pairwise(borders)
+        for first, end in pairwise(places)
     )
 
 
@@ -193,7 +195,7 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
     known = np.flatnonzero(models != b"")
     if len(np.unique(models[known])) < 2:
         return []
-    spec, found = history.spec, []
+    spec, changes = history.spec, []
     before: tuple[bytes, str] | None = None
     for place in known.tolist():
         label = history.nights[place]
@@ -201,6 +203,6 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
             continue
         now = bytes(models[place]), spec.file.oil_on(label)
         if before is not None and now[0] != before[0] and now[1] == before[1]:
-            found.append((place, f"{OTHER_SETTINGS} {label}"))
+            changes.append((place, f"{OTHER_SETTINGS} {label}"))
         before = now
-    return found
+    return changes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from pipeline.schema import ALARM_CONTENT
@@ -44,7 +45,9 @@ def alarm_rows(states: Mapping[str, Sequence[Row]], published: Sequence[Row]) ->
 def _changes(name: str, nights: Sequence[Row], published: Mapping[dt.date, Row]) -> Iterator[Row]:
     before = [label for label in published if label < nights[0]["night"]]
     reported = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
-    raised_on = max((one for one in before if published[one]["to_state"] in RAISED), default=None)
+    raised_on = max(
+        (night for night in before if published[night]["to_state"] in RAISED), default=None
+    )
     earlier = reported
     for night in nights:
         label, state = night["night"], night["state"]
@@ -102,8 +105,9 @@ def _row(name: str, night: Row, before: str, words: str) -> Row:
 
 def new_rows(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
     """Rows that say something which was not published before."""
-    before = {row["id"]: [row[one] for one in ALARM_CONTENT] for row in published}
-    return [row for row in rows if before.get(row["id"]) != [row[one] for one in ALARM_CONTENT]]
+    content = itemgetter(*ALARM_CONTENT)
+    before = {row["id"]: content(row) for row in published}
+    return [row for row in rows if before.get(row["id"]) != content(row)]
 
 
 def without_past(
@@ -115,15 +119,15 @@ def without_past(
     in force now, where it is another than the one reported last.
     """
     newest = {what_of(row): row for row in rows if row["night"] <= last_night}
-    found = []
+    notified = []
     for row in new:
         what, state = what_of(row), row["to_state"]
         reported = max(
-            ((one["night"], one["to_state"]) for one in published if what_of(one) == what),
+            ((old["night"], old["to_state"]) for old in published if what_of(old) == what),
             default=(last_night, INSUFFICIENT),
         )[1]
         is_in_force = row is newest.get(what) and state != reported
         is_news = is_in_force and (state in CHANGED or reported in CHANGED)
         if row["night"] > last_night or is_news:
-            found.append(row)
-    return found
+            notified.append(row)
+    return notified

@@ -207,19 +207,19 @@ def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()
     newest = max((row["night"] for row in data.values()), default=None)
     sensors = _sensors(output, every)
     decisions = read_decisions(output)
-    found = []
+    rows = []
     for name in every:
         row = _unknown(name)
         if name in last:
             of_data = data.get(name, {})
-            row |= of_data | {key: one for key, one in last[name].items() if one is not None}
+            row |= of_data | {key: value for key, value in last[name].items() if value is not None}
             row["sensor_health"] = sensors.get(name, "unknown")
             if of_data and newest is not None:
                 row["data_age_nights"] = (newest - of_data["night"]).days
             row["last_fit_night"] = fitted.get(name, {}).get("night")
         row = with_acknowledgement(row, decisions)
-        found.append(_as_removed(row) if name in gone else row)
-    return found
+        rows.append(_as_removed(row) if name in gone else row)
+    return rows
 
 
 def _as_removed(row: Row) -> Row:

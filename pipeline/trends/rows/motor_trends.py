@@ -121,9 +121,10 @@ class MotorTrends:
         if last is None or last["to_state"] not in CHANGED:
             return
         history, raised = self.course.nights.history, last["night"]
-        later = [one for one in periods_of(history) if history.nights[one.first] > raised]
+        later = [period for period in periods_of(history) if history.nights[period.first] > raised]
         is_of_settings = {
-            history.nights[one.first]: one.reason.startswith(OTHER_SETTINGS) for one in later
+            history.nights[period.first]: period.reason.startswith(OTHER_SETTINGS)
+            for period in later
         }
         if not any(is_of_settings.values()) or is_withdrawn(history.decisions, raised):
             return

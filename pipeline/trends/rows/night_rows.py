@@ -102,24 +102,24 @@ def _leakages(night: NightState) -> Row:
     if not night.n_blocks:
         return {"leakage_reason": night.why_no_blocks}
     row: Row = {}
-    for name, found in (
+    for name, leakage in (
         ("reference_leakage", night.reference or night.reference_leakage),
         ("own_leakage", night.own_leakage),
     ):
-        if isinstance(found, str):
-            row["leakage_reason"] = found
+        if isinstance(leakage, str):
+            row["leakage_reason"] = leakage
         else:
-            row |= {f"{name}_l_per_min": found.value}
-            row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
+            row |= {f"{name}_l_per_min": leakage.value}
+            row |= {f"{name}_lower": leakage.lower, f"{name}_upper": leakage.upper}
     return row
 
 
-def _percent(name: str, found: Estimate) -> Row:
+def _percent(name: str, size: Estimate) -> Row:
     """A relative figure with its interval."""
     return {
-        f"{name}_percent": 100.0 * found.value,
-        f"{name}_lower": 100.0 * found.lower,
-        f"{name}_upper": 100.0 * found.upper,
+        f"{name}_percent": 100.0 * size.value,
+        f"{name}_lower": 100.0 * size.lower,
+        f"{name}_upper": 100.0 * size.upper,
     }
 
 

@@ -70,13 +70,13 @@ def _earliest(days: Row) -> tuple[bool, float]:
 
 
 def _leakage_row(night: NightState, name: str) -> Row:
-    found = night.own_leakage
+    leakage = night.own_leakage
     if name == REFERENCE:
-        found = night.reference or night.reference_leakage
+        leakage = night.reference or night.reference_leakage
     row: Row = {"indicator": name, "unit": "l/min", "n_nights": 0, "is_provisional": False}
-    if isinstance(found, str) or not night.n_blocks:
-        return row | {"reason": found if isinstance(found, str) else night.why_no_blocks}
-    return row | {"value": found.value, "lower": found.lower, "upper": found.upper}
+    if isinstance(leakage, str) or not night.n_blocks:
+        return row | {"reason": leakage if isinstance(leakage, str) else night.why_no_blocks}
+    return row | {"value": leakage.value, "lower": leakage.lower, "upper": leakage.upper}
 
 
 def _frozen(night: NightState, name: str) -> float | None:
@@ -102,9 +102,9 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
     line = fit_slope(numbers, series, numbers / DAYS_A_YEAR)
     by_hours = fit_slope(numbers, series, hours / 1000.0)
     row: Row = {"n_nights": line.n, "is_provisional": line.status == "provisional"}
-    for per, one in (("per_year", line), ("per_1000_h", by_hours)):
-        row[f"slope_{per}"] = one.slope
-        row |= {f"slope_{per}_lower": one.lower, f"slope_{per}_upper": one.upper}
+    for per, slope in (("per_year", line), ("per_1000_h", by_hours)):
+        row[f"slope_{per}"] = slope.slope
+        row |= {f"slope_{per}_lower": slope.lower, f"slope_{per}_upper": slope.upper}
     if line.slope is None or limit is None:
         return row, {}
     return row, _days(numbers, hours, series, limit, night.spec.settings.trend.horizon_years)
@@ -124,16 +124,16 @@ def _days(
     )
     # A motor that has stood still for a month is taken to run again as it did.
     rates = every, recent or every
-    found = time_to_limit(nights, hours, series, limit, years_ahead * DAYS_A_YEAR * max(rates))
+    ahead = time_to_limit(nights, hours, series, limit, years_ahead * DAYS_A_YEAR * max(rates))
 
-    def days(ahead: float | None, rate: float) -> float | None:
-        return None if ahead is None else ahead / rate
+    def days(time: float | None, rate: float) -> float | None:
+        return None if time is None else time / rate
 
     return {
-        "days_to_limit": days(found.time, every),
-        "days_to_limit_lower": days(found.lower, max(rates)),
-        "days_to_limit_upper": days(found.upper, min(rates)),
-        "days_to_limit_status": found.status,
+        "days_to_limit": days(ahead.time, every),
+        "days_to_limit_lower": days(ahead.lower, max(rates)),
+        "days_to_limit_upper": days(ahead.upper, min(rates)),
+        "days_to_limit_status": ahead.status,
     }
 
 
@@ -159,13 +159,13 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
             continue
         path = history.watch_columns.paths[number]
         if not isinstance(drives, str):
-            shown = _scaled(row, lambda one, by=float(drives[number]): by * one)
+            shown = _scaled(row, lambda value, by=float(drives[number]): by * value)
             yield row | shown | {"indicator": f"leakage_{path}", "unit": "l/min"}
         if night.baseline is not None and name.startswith(LOSS_FACTOR):
             first = night.baseline.coefficients[number]
             if first > 0.0:
                 # A loss factor goes with the cube of its gap.
-                gap = _scaled(row, lambda one, by=first: 100.0 * (math.cbrt(one / by) - 1.0))
+                gap = _scaled(row, lambda value, by=first: 100.0 * (math.cbrt(value / by) - 1.0))
                 yield row | gap | {"indicator": f"gap_change_{path}", "unit": "%"}
 
 
@@ -214,7 +214,7 @@ def oil_as_measured(history: History, place: int) -> str:
     percent = 100.0 * (ratio - 1.0)
     size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
     words = "as its data sheet" if abs(percent) < 0.5 else size
-    samples = [one for one in history.spec.samples_of(night) if one.date <= night]
+    samples = [sample for sample in history.spec.samples_of(night) if sample.date <= night]
     measured = [sample.date for sample in samples if sample.viscosity_40_c_mm2_per_s is not None]
     water = [sample.water_mg_per_kg for sample in samples if sample.water_mg_per_kg is not None]
     by_log = any(name in history.spec.file.channels for name in VISCOSITIES)
