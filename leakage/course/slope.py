@@ -33,7 +33,7 @@ def correlation_to_previous(phi: float, nights: Nights) -> Array:
 
 
 def whitened(columns: Array, rho: Array) -> Array:
-    r"""Return prais and Winsten's transform [1]_: columns whose errors no longer remember.
+    r"""Return Prais and Winsten's transform [1]_: columns whose errors no longer remember.
 
     .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
 

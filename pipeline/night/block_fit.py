@@ -66,12 +66,12 @@ class ErrorParts:
 
 
 def of_stated(budget: Sequence[Row]) -> dict[str, float]:
-    """± of each indicator from stated tolerances."""
+    """Return ± of each indicator from stated tolerances."""
     return _by_squares([row for row in budget if not row["is_assumed"]])
 
 
 def of_sensors(budget: Sequence[Row]) -> dict[str, float]:
-    """± of each indicator from tolerances of sensors, stated or assumed."""
+    """Return ± of each indicator from tolerances of sensors, stated or assumed."""
     return _by_squares([row for row in budget if _is_sensor(row)])
 
 
@@ -186,7 +186,7 @@ def fit_stored_blocks(
 
 
 def scale_of(motor: Motor) -> tuple[int, float]:
-    """Place of the scale of a motor's standard once it is free, and its configured value."""
+    """Return place of the scale of a motor's standard once it is free, and its configured value."""
     assert motor.standard is not None
     place = motor.with_free_standard().columns.index(motor.standard.name)
     return place, motor.standard.configured_coefficient
@@ -206,7 +206,7 @@ def _roller(
     identification: Identification,
     excitation: Excitation,
 ) -> RollerScale | None:
-    """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
+    """Return scale of the rollers' curve of a motor as stated, from whitened blocks."""
     if motor.standard is None:
         return None
     place, configured = scale_of(motor)
@@ -283,7 +283,7 @@ def _errors(
 def conditions(
     spec: MotorSpec, blocks: StoredBlocks
 ) -> tuple[OperatingConditions, OperatingConditions]:
-    """The reference conditions, and the mean ones of some blocks."""
+    """Return the reference conditions, and the mean ones of some blocks."""
     charge_bar = blocks.charge_bar
     return (
         spec.settings.reference.conditions(charge_bar).operating,

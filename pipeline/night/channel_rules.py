@@ -54,7 +54,7 @@ class Sampling:
 
     @classmethod
     def of(cls, channel: Channel) -> Sampling:
-        """The sampling that a channel's config states."""
+        """Return the sampling that a channel's config states."""
         mean_s = channel.mean_of_s or 0.0
         shift_s = channel.time_offset_s + TO_THE_MIDDLE[channel.mean_stamp] * mean_s
         return cls(
@@ -116,7 +116,7 @@ def flow_from_counts(
 
 
 def step_of_readings(value: Values) -> float:
-    """The step in which readings visibly come; 0 where they do not.
+    """Return the step in which readings visibly come; 0 where they do not.
 
     Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
     common enough to be a step of the sensor and not of what it measures.

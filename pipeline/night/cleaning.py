@@ -50,13 +50,13 @@ class Rests:
 
     @classmethod
     def of(cls, speed: CleanChannel, standstill_rpm: float) -> Rests:
-        """Standstills by the clean samples of the speed."""
+        """Return standstills by the clean samples of the speed."""
         at_rest = ~speed.refused & (np.abs(speed.value) < (1.0 - ROUNDING) * standstill_rpm)
         begins, ends = stretches(at_rest)
         return cls(speed.time_us[begins], speed.time_us[ends - 1])
 
     def hold(self, time_us: Times) -> Mask:
-        """Times that lie within one, shape (m,)."""
+        """Return times that lie within one, shape (m,)."""
         if not len(self.begins_us):
             return np.zeros(len(time_us), dtype=np.bool_)
         last = self.begins_us.searchsorted(time_us, "right") - 1
@@ -166,7 +166,7 @@ def clean_channel(
 
 
 def _ends(masks: Mapping[str, Mask]) -> Mask:
-    """Samples that say that there is no value from there on."""
+    """Return samples that say that there is no value from there on."""
     found: Mask = masks["missing"] | masks["not_finite"]
     return found | masks["bad_quality"] if "bad_quality" in masks else found
 
@@ -194,7 +194,7 @@ def _judged_alone(
 
 
 def _within(chosen: Mask, flags: Mask) -> Mask:
-    """Flags of the chosen samples laid back among all of them."""
+    """Return flags of the chosen samples laid back among all of them."""
     mask = np.zeros(len(chosen), dtype=np.bool_)
     if flags.any():
         mask[chosen] = flags
@@ -234,7 +234,7 @@ def _course(
 
 
 def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
-    """First of the credible samples after a gap; the other places are among all samples."""
+    """Return first of the credible samples after a gap; the other places are among all samples."""
     behind = np.append(long_steps, refused) + 1
     first: Places = np.unique(behind - np.searchsorted(refused, behind))
     first = first[(first > 0) & (first < len(time_us))]
@@ -252,7 +252,7 @@ def _spikes(course: Course) -> Mask:
 
 
 def _stuck(course: Course) -> Mask:
-    """Frozen values; a gap adds no time to a stretch."""
+    """Return frozen values; a gap adds no time to a stretch."""
     rules = course.rules
     after_us = rules.frozen_after_s * SECOND_US
     stuck = frozen(course.time_us, course.value, rules.resolution, after_us, course.borders)

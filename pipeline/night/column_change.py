@@ -54,7 +54,7 @@ ModelFlow = Callable[[float, float, float], float | None]
 
 
 def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
-    """Means of the channels in a row of `nights`; empty where one is not known."""
+    """Return means of the channels in a row of `nights`; empty where one is not known."""
     found = {name: row[column] for name, column in COLUMNS.items() if row.get(column) is not None}
     return found if found.keys() == COLUMNS.keys() else {}
 
@@ -74,7 +74,7 @@ def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 def column_change(
     spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
 ) -> str | None:
-    """Why readings look like those of other columns or units than before; None: they do not.
+    """Return why readings look like those of other columns or units than before; None: they do not.
 
     Both have the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
     """

@@ -14,7 +14,7 @@ from pipeline.schema.fits import LAG_COLUMNS
 
 
 def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
-    """Columns of `fits` on the lag of a night; null where it has none.
+    """Return columns of `fits` on the lag of a night; null where it has none.
 
     The flow follows the model's own columns, and of machines that the model lacks something of,
     speed and the root of the pressure.

@@ -44,7 +44,7 @@ ASSUMED = {
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
 ) -> tuple[tuple[BlockFit, ...], list[Row]]:
-    """A fit for each mode of flushing, the primary one first, and rows of `error_budget`.
+    """Return a fit for each mode of flushing, the primary one first, and rows of `error_budget`.
 
     Raises EstimationError if there are fewer samples than free coefficients.
     """
@@ -76,7 +76,7 @@ def _budget(
     at: tuple[OperatingConditions, OperatingConditions],
     night: dt.date,
 ) -> ErrorBudget:
-    """All tolerances carried through evenly thinned samples; empty beyond validity."""
+    """Return all tolerances carried through evenly thinned samples; empty beyond validity."""
     n = len(statistics.samples.index)
     chosen = np.linspace(0, n - 1, min(SENSITIVITY_SAMPLES, n)).round().astype(np.int64)
     thinned = statistics.conditions.part(chosen)
@@ -89,7 +89,7 @@ def _budget(
 
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
-    """Tolerances of channels, oil and model; of two ports the difference's, by squares."""
+    """Return tolerances of channels, oil and model; of two ports the difference's, by squares."""
     oil, model = spec.oil_on(night), spec.settings.model
     return Tolerances(
         pressure_bar=_of(spec, *PRESSURES),
@@ -104,7 +104,7 @@ def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
 
 
 def assumed_sensors(spec: MotorSpec) -> dict[str, str]:
-    """Kind of sensor by channel, of those without a stated tolerance."""
+    """Return kind of sensor by channel, of those without a stated tolerance."""
     return {
         name: kind
         for name, kind in ASSUMED.items()
@@ -135,7 +135,7 @@ def _of(spec: MotorSpec, *names: str) -> ChannelTolerance:
 
 
 def _assumed(name: str, channel: Channel) -> tuple[float, float]:
-    """Offset and gain by the kind of sensor; of the speed none is assumed."""
+    """Return offset and gain by the kind of sensor; of the speed none is assumed."""
     if name in PRESSURES:
         highest = channel.valid_range[1] if channel.valid_range else PRESSURE_RANGE_BAR
         return PRESSURE_CLASS * (channel.sensor_maximum or highest), 0.0

@@ -148,7 +148,7 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 def clean_channels(
     file: MotorFile, settings: Settings, night: Night, channels: MutableMapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """The kept samples of a night, or of a part of it, and what each rule refused.
+    """Return the kept samples of a night, or of a part of it, and what each rule refused.
 
     Raises Insufficient if a channel has no samples, or all of them fewer than two.
     """
@@ -212,7 +212,7 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSp
 
 
 def _shares(found: Mapping[str, Quality]) -> str:
-    """Refused shares of what refused any."""
+    """Return refused shares of what refused any."""
     shares = {name: 100 * q.n_refused / q.n_samples for name, q in found.items() if q.n_refused}
     return "; ".join(f"{name} {share:.0f} %" for name, share in shares.items())
 
@@ -241,7 +241,7 @@ def require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
 
 
 def _sensor_ratio(motor: Motor, samples: Samples) -> SensorRatio | None:
-    """Viscosity by the log over the data sheet's; None where it has none."""
+    """Return viscosity by the log over the data sheet's; None where it has none."""
     ratio = sensor_ratio(motor.oil, samples)
     if isinstance(ratio, str):
         why = f"{ratio}; without this channel in the motor's file the data sheet holds"

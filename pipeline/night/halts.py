@@ -87,7 +87,7 @@ def _is_relieved(
     settings: SensorHealth,
     case_bar: float,
 ) -> bool:
-    """True if the low side is known to be near case pressure, and the other port with it."""
+    """Return True if the low side is known to be near case pressure, and the other port with it."""
     low = next((name for name in LOW_SIDE if name in channels), None)
     if settings.without_pressure_at_halts or low is None:
         return settings.without_pressure_at_halts
@@ -112,7 +112,7 @@ def _readings(channel: CleanChannel, begin_us: int, end_us: int) -> Values:
 
 
 def _zero(halts: Sequence[float]) -> Zero | None:
-    """Zero of some halts; None where there is none."""
+    """Return zero of some halts; None where there is none."""
     if not halts:
         return None
     error = None if len(halts) < 3 else float(np.std(halts, ddof=1) / np.sqrt(len(halts)))

@@ -27,7 +27,7 @@ STEP_ROUNDING = 0.01
 
 
 def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First places of the stretches in which a mask is set, and the places behind them.
+    """Return first places of the stretches in which a mask is set, and the places behind them.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
-    """Places of the steps, from each time to the next, of which something holds.
+    """Return places of the steps, from each time to the next, of which something holds.
 
     Some at a time, which stay in the cache: a night at 100 Hz takes half the time, and no array of
     its own length.
@@ -61,7 +61,7 @@ def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.in
 def missing_sample(
     time_us: Times, blank: Mask, period_us: float | None, row_us: float | None
 ) -> Mask:
-    """Blank cells at which the channel should have had a sample.
+    """Return blank cells at which the channel should have had a sample.
 
     In a log whose rows are those of the fastest channel, a slower one is blank in most of them: a
     blank cell is a missing sample only where the channel's own period, counted from its last
@@ -94,7 +94,7 @@ def missing_sample(
 
 
 def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:
-    """Values outside the valid range; NaN is not, it has its own reason."""
+    """Return values outside the valid range; NaN is not, it has its own reason."""
     low, high = valid_range
     mask: Mask = value < low - ROUNDING * abs(low)
     mask |= value > high + ROUNDING * abs(high)
@@ -102,7 +102,7 @@ def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:
 
 
 def at_maximum(value: Values, sensor_maximum: float | None, resolution: float) -> Mask:
-    """Values at which the sensor is at its maximum, to half of its resolution."""
+    """Return values at which the sensor is at its maximum, to half of its resolution."""
     if sensor_maximum is None:
         return np.zeros(len(value), dtype=np.bool_)
     mask: Mask = value >= sensor_maximum - max(resolution / 2, 1e-9 * abs(sensor_maximum))
@@ -156,7 +156,7 @@ def spike(
 
 
 def _stands_out(windows: Values, rows: NDArray[np.intp], threshold: float, floor: float) -> Mask:
-    """Some of the windows whose middle value is too far from their median."""
+    """Return some of the windows whose middle value is too far from their median."""
     found, half = np.empty(len(rows), dtype=np.bool_), windows.shape[1] // 2
     for chunk in range(0, len(rows), WINDOWS):
         part = windows[rows[chunk : chunk + WINDOWS]]
@@ -198,7 +198,7 @@ def frozen(
     frozen_after_us: float,
     borders: NDArray[np.intp] = NO_BORDERS,
 ) -> Mask:
-    """Values that stay within one step of the sensor for too long.
+    """Return values that stay within one step of the sensor for too long.
 
     Readings of the sensor's steps are distinguished; noise of less than half a step between them,
     as a conversion of units leaves it, is no change, wherever it lies. The gaps before `borders`
@@ -222,7 +222,7 @@ def frozen(
 
 
 def _steps(value: Values, resolution: float) -> tuple[Values, ...]:
-    """The steps of the sensor that values lie on, on each of two grids."""
+    """Return the steps of the sensor that values lie on, on each of two grids."""
     if resolution <= 0:
         return (value,)
     # Half a step between the borders of the two grids: less noise than that crosses only one.
@@ -233,7 +233,7 @@ def _steps(value: Values, resolution: float) -> tuple[Values, ...]:
 def _suspects(
     time_us: Times, value: Values, resolution: float, frozen_after_us: float
 ) -> list[slice]:
-    """Parts of the samples in which all stretches that last too long lie as a whole.
+    """Return parts of the samples in which all stretches that last too long lie as a whole.
 
     Of marks that are half of such a time apart a stretch covers two in a row, with the samples
     around each of them and all between: few samples tell where that cannot be.
@@ -264,7 +264,7 @@ def _alike(
     resolution: float,
     looks: int,
 ) -> Mask:
-    """Pairs of places from one to the other of which some samples lie on one step."""
+    """Return pairs of places from one to the other of which some samples lie on one step."""
     shares = np.arange(looks)[:, None]
     looked_at = value[first + (last - first) * shares // (looks - 1)]
     alike = np.zeros(len(first), dtype=np.bool_)
@@ -274,7 +274,7 @@ def _alike(
 
 
 def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
-    """Times within a guard time before or after any event; both increase."""
+    """Return times within a guard time before or after any event; both increase."""
     # In whole microseconds, as the times are: others would have all of them converted.
     first = np.searchsorted(time_us, events_us - int(before_us), side="left")
     end = np.searchsorted(time_us, events_us + int(after_us), side="right")
@@ -289,7 +289,7 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
 
 
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:
-    """Samples of the time base at which a channel changes faster than a limit.
+    """Return samples of the time base at which a channel changes faster than a limit.
 
     Both ends of each fast change are refused.
     """

@@ -37,7 +37,7 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
 
 
 def _why_fixed(mode: BlockFit) -> str:
-    """Reason why the scale of the rollers' curve is held as configured."""
+    """Return reason why the scale of the rollers' curve is held as configured."""
     if mode.roller is not None and mode.roller.judgement.reason:
         return f"configured, as speed varies too little: {mode.roller.judgement.reason}"
     return "configured, as most of a baseline's first nights are to tell it"
@@ -92,7 +92,7 @@ def _derived_rows(spec: MotorSpec, path: LeakagePath, coefficient: Row) -> list[
 
 
 def _share_rows(mode: BlockFit) -> list[Row]:
-    """Share of each path in the reference leakage, where the data determine it.
+    """Return share of each path in the reference leakage, where the data determine it.
 
     With L = Σ K_i φ_i + known, K within bounds, the share Q_j / L has the gradient
     φ_i (δ_ij L − Q_j) / L².

@@ -104,7 +104,7 @@ def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
 
 
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
-    """A row of `fits`; what needs samples is as before."""
+    """Return a row of `fits`; what needs samples is as before."""
     return {
         **before,
         **block_fit_columns(found),

@@ -33,7 +33,7 @@ class OnGrid(NamedTuple):
 
 
 def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
-    """A channel on an even grid."""
+    """Return a channel on an even grid."""
     n = len(grid_us)
     if not n or not len(channel.time_us):
         return OnGrid(np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_))

@@ -54,7 +54,7 @@ def night_row(
 
 
 def unfitted_row(spec: MotorSpec, night: dt.date) -> Row:
-    """The one row in `fits` of a night without a fit."""
+    """Return the one row in `fits` of a night without a fit."""
     mode = spec.file.flushing.mode
     return {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode, "is_primary": True}
 
@@ -66,7 +66,7 @@ def fit_rows(
     modes: Sequence[BlockFit],
     budget: Sequence[Row],
 ) -> Rows:
-    """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
+    """Return rows of `fits` and of all tables below a fit, for all modes of flushing."""
     samples = statistics.samples
     shared = {
         "window_start": utc(samples.time_us[0]),
@@ -94,14 +94,14 @@ def fit_rows(
 
 
 def of_fit(fits: Sequence[Row]) -> Row:
-    """Columns of `nights` that say how well the primary of a night's fits went."""
+    """Return columns of `nights` that say how well the primary of a night's fits went."""
     (fit,) = [row for row in fits if row["is_primary"]]
     names = ("training_fit_percent", "validation_fit_percent")
     return {name: fit[name] for name in names} | {"rmse_l_per_min": math.sqrt(fit["cost"])}
 
 
 def reference_columns(spec: MotorSpec) -> Row:
-    """The fleet's reference conditions."""
+    """Return the fleet's reference conditions."""
     return {f"reference_{name}": getattr(spec.settings.reference, name) for name in CHANNELS}
 
 
@@ -142,7 +142,7 @@ def agreement_columns(spec: MotorSpec, mode: BlockFit, factor_of: Callable[[str]
 
 
 def block_fit_columns(mode: BlockFit) -> Row:
-    """Columns of a fit that are computed from its blocks."""
+    """Return columns of a fit that are computed from its blocks."""
     proven_minimum, fit = mode.fit.proven_minimum, mode.fit
     condition = proven_minimum.condition_number
     return {
@@ -156,12 +156,12 @@ def block_fit_columns(mode: BlockFit) -> Row:
 
 
 def coefficient_names(motor: Motor) -> list[str]:
-    """Names of θ's coefficients, as `parameters` has them."""
+    """Return names of θ's coefficients, as `parameters` has them."""
     return [path.coefficient_name if path else "C_f" for path in motor.coefficient_paths]
 
 
 def _interval_status(mode: BlockFit) -> str:
-    """``ok``, how long slow errors remember, or why there are no intervals."""
+    """Return ``ok``, how long slow errors remember, or why there are no intervals."""
     found = mode.identification
     if found.distribution is None and not mode.fit.proven_minimum.fixed.all():
         return ONE_BLOCK
@@ -210,7 +210,7 @@ def _ends(name: str, value: float, interval: Interval | None) -> Row:
 
 
 def _roller_columns(mode: BlockFit) -> Row:
-    """Scale of the rollers' curve as the night shows it, whether or not the fit uses it."""
+    """Return scale of the rollers' curve as the night shows it, whether or not the fit uses it."""
     roller = mode.roller
     if roller is None:
         return dict.fromkeys(

@@ -32,7 +32,7 @@ HALF = float(ndtri(0.975))
 
 
 def data_columns(night: Night, samples: Samples, counter: RawChannel | None) -> Row:
-    """Columns of `nights` that a night's samples fill, fitted or not."""
+    """Return columns of `nights` that a night's samples fill, fitted or not."""
     row: Row = {"logged_hours": samples.n_logged * samples.period_us / HOUR_US}
     counted = hours_counted(counter)
     if counted is not None:
@@ -67,7 +67,7 @@ def hours_counted(counter: RawChannel | None) -> float | None:
 
 
 def conditions(samples: Samples) -> Row:
-    """Span and means of kept samples; magnitudes of pressure and speed."""
+    """Return span and means of kept samples; magnitudes of pressure and speed."""
     speed = samples.speed_rpm
     return {
         "first_sample": utc(samples.time_us[0]),
@@ -83,7 +83,7 @@ def conditions(samples: Samples) -> Row:
 
 
 def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
-    """Samples in each bin; the end bins hold all beyond."""
+    """Return samples in each bin; the end bins hold all beyond."""
     n = len(values)
     # Comparing with the few edges between the values is quicker than a search for each value.
     lowest, highest = values.min(), values.max()
@@ -103,7 +103,7 @@ PREDICTION_POINTS = 720
 
 
 def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
-    """Rows of `quality`: every rule that was applied, those that refused nothing too."""
+    """Return rows of `quality`: every rule that was applied, those that refused nothing too."""
     own = {"motor_id": motor_id, "night": night}
     names = [field.name for field in fields(Quality)]
     return [own | {name: getattr(rule, name) for name in names} for rule in found]
@@ -116,7 +116,7 @@ def block_rows(
     statistics: NightStatistics,
     viscosity: SensorRatio | None = None,
 ) -> list[Row]:
-    """Rows of `blocks`, with the viscosity by the log over the data sheet's."""
+    """Return rows of `blocks`, with the viscosity by the log over the data sheet's."""
     samples, blocks = statistics.samples, statistics.blocks
     speed = statistics.conditions.speed_rpm
     rows = [slice(block.first_row, block.end_row) for block in blocks]
@@ -156,14 +156,14 @@ def block_rows(
 
 
 def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
-    """Rows of columns, and of values that all rows share."""
+    """Return rows of columns, and of values that all rows share."""
     n = len(next(iter(columns.values())))
     every = {name: repeat(value, n) for name, value in shared.items()} | columns
     return [dict(zip(every, values, strict=True)) for values in zip(*every.values(), strict=True)]
 
 
 def _spread(name: str, unit: str, parts: Iterable[Array], edges: tuple[float, ...]) -> Columns:
-    """Means, limits and coarse histograms of a channel by block."""
+    """Return means, limits and coarse histograms of a channel by block."""
     # Block by block: all figures of one while it is in the cache.
     figures = [
         (part.sum() / len(part), part.min(), part.max(), coarse_histogram(part, edges))

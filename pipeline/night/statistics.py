@@ -30,7 +30,7 @@ class NightStatistics(CompressedSamples):
     viscosity_ratios: Array | None = None
 
     def with_viscosity(self, ratios: Array | None, columns: Sequence[str]) -> NightStatistics:
-        """The same with the oil as measured, by block; None: as on its data sheet."""
+        """Return the same with the oil as measured, by block; None: as on its data sheet."""
         if ratios is None:
             return self
         scale = np.where(driven(columns), 1.0 / ratios[:, None], 1.0)
@@ -45,7 +45,7 @@ class NightStatistics(CompressedSamples):
         )
 
     def parts_of(self, rows: NDArray[np.int64]) -> list[str]:
-        """Part of some of the kept samples."""
+        """Return part of some of the kept samples."""
         ends = np.cumsum([block.n for block in self.blocks])
         return [self.blocks[at].part for at in np.searchsorted(ends, rows, side="right").tolist()]
 
@@ -81,7 +81,7 @@ def night_statistics(
 
 
 def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditions:
-    """Conditions of the kept samples that drive the leakage, from one side or from both."""
+    """Return conditions of the kept samples that drive the leakage, from one side or from both."""
     return OperatingConditions.from_bar(
         np.abs(samples.pressure_difference_bar),
         samples.oil_temperature_c,
@@ -93,7 +93,7 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
 
 
 def charge_over_case_bar(model: Model, samples: Samples) -> Array:
-    """Charge above case pressure: from channels where logged, else as configured."""
+    """Return charge above case pressure: from channels where logged, else as configured."""
     logged = samples.low_pressures_bar
     constant = np.full(len(samples.index), model.charge_pressure_bar)
     if (low_port := logged.get("low_port_pressure")) is not None:

@@ -48,7 +48,7 @@ class StoredBlocks:
 
     @classmethod
     def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
-        """Blocks of a night's rows; None where one is of a model with other columns."""
+        """Return blocks of a night's rows; None where one is of a model with other columns."""
         if rows["factor_columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)
@@ -62,7 +62,7 @@ class StoredBlocks:
     def of_newest_night(
         cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
     ) -> StoredBlocks:
-        """Blocks that are about to be stored."""
+        """Return blocks that are about to be stored."""
         stored = pl.from_arrow(staged_table(BLOCKS, rows))
         assert isinstance(stored, pl.DataFrame)
         return cls._scaled(spec, stored, factors, rows[0]["factor_columns"])
@@ -81,11 +81,11 @@ class StoredBlocks:
         return cls(rows, factors, ratios)
 
     def factor_of(self, part: str) -> Array:
-        """Factor of all blocks of the training or the validation samples, shape (c, c)."""
+        """Return factor of all blocks of the training or the validation samples, shape (c, c)."""
         return merge(self.factors[(self.rows["part"] == part).to_numpy()])
 
     def sample_blocks(self) -> SampleBlocks:
-        """All that a fit needs of them."""
+        """Return all that a fit needs of them."""
         begins, ends = (
             self.rows[name].to_physical().to_numpy() for name in ("block_start", "block_end")
         )
@@ -116,7 +116,7 @@ class StoredBlocks:
         return (last - first).total_seconds()
 
     def span(self, channel: str) -> tuple[float, float]:
-        """Lowest and highest reading of a channel."""
+        """Return lowest and highest reading of a channel."""
         low = self.rows[f"minimum_{channel}"].to_numpy().min()
         return float(low), float(self.rows[f"maximum_{channel}"].to_numpy().max())
 
@@ -134,7 +134,7 @@ class StoredBlocks:
         return pressure, temperature, speed
 
     def _mean(self, name: str) -> float | None:
-        """Mean of a column over the samples; None where it has none."""
+        """Return mean of a column over the samples; None where it has none."""
         values = self.rows[name]
         if values.null_count():
             return None

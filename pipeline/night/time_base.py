@@ -52,7 +52,7 @@ class Quality:
 
     @classmethod
     def of(cls, channel: str, reason: str, refused: Mask) -> Quality:
-        """The count of a mask."""
+        """Return the count of a mask."""
         return cls(channel, reason, len(refused), int(np.count_nonzero(refused)))
 
 
@@ -194,7 +194,7 @@ def bring_together(
 
 
 def between_sessions(channels: Collection[CleanChannel], grid_us: Times) -> Mask:
-    """Times at which the logger was off: no channel has a sample near.
+    """Return times at which the logger was off: no channel has a sample near.
 
     Near is what is no gap of the channel that has the shortest.
     """
@@ -225,7 +225,7 @@ def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
 def _halt_masks(
     channels: Mapping[str, CleanChannel], together: Together, cleaning: Cleaning
 ) -> dict[str, Mask]:
-    """Standstills, and the guard times around them and around a sensor at its maximum."""
+    """Return standstills, and the guard times around them and around a sensor at its maximum."""
     grid = together.grid_us
     standstill = together.present["speed"] & ~_is_turning(together, cleaning)
     begins, ends = stretches(standstill)
@@ -250,7 +250,7 @@ class Together:
 
 
 def _is_turning(together: Together, cleaning: Cleaning) -> Mask:
-    """Times at which the motor is known to turn."""
+    """Return times at which the motor is known to turn."""
     slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
     turning: Mask = together.present["speed"] & (np.abs(together.values["speed"]) >= slowest)
     return turning
@@ -271,7 +271,7 @@ def _warm_up(together: Together, cleaning: Cleaning) -> Mask | None:
 
 
 def _transients(together: Together, cleaning: Cleaning) -> Mask | None:
-    """Fast changes of speed or pressure."""
+    """Return fast changes of speed or pressure."""
     if not cleaning.refuse_transients:
         return None
     fast = np.zeros(len(together.grid_us), dtype=np.bool_)

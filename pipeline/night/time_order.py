@@ -135,7 +135,7 @@ class SharedStamps:
 
 
 def backward_time(time_us: Times) -> Mask:
-    """Samples whose time does not fit an increasing clock.
+    """Return samples whose time does not fit an increasing clock.
 
     The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
     stamp in the future does not refuse all that follow it.
@@ -159,7 +159,7 @@ def backward_time(time_us: Times) -> Mask:
 
 
 def _longest_increasing(stamps: list[int]) -> list[int]:
-    """Places of a longest non-decreasing subsequence (patience sorting)."""
+    """Return places of a longest non-decreasing subsequence (patience sorting)."""
     tails: list[int] = []
     ends: list[int] = []
     previous: list[int] = []
@@ -179,7 +179,7 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
 def written_late(
     time_us: Times, backward: Mask, in_order: Times
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Backward samples that can be put back in order, and rows that only seemed to be in it.
+    """Return backward samples that can be put back in order, and rows that only seemed to be in it.
 
     Those are put back whose place among the others is free: rows that a logger flushed late, and
     files whose names do not sort as their times do. A clock that was set back runs over times that
@@ -222,14 +222,14 @@ def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[
 
 
 def corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
-    """Samples at the times at which they hold."""
+    """Return samples at the times at which they hold."""
     if not rules.sampling.shift_us:
         return raw
     return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
 
 
 def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) -> RawChannel:
-    """Cells in order without the blank ones that are no sample."""
+    """Return cells in order without the blank ones that are no sample."""
     if rules.sampling.on_change:
         samples = _says_something(cells, rules)
     elif cells.missing.any():
@@ -242,7 +242,7 @@ def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) 
 
 
 def _says_something(cells: RawChannel, rules: ChannelRules) -> Mask:
-    """Cells of an on-change channel that hold a value, or say that there is none."""
+    """Return cells of an on-change channel that hold a value, or say that there is none."""
     if rules.has_rows_of_its_own:
         return np.ones(len(cells.time_us), dtype=np.bool_)
     says: Mask = ~cells.missing

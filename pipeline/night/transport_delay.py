@@ -24,7 +24,7 @@ FLOW_AVERAGE_S = 10.0
 def drain_line_delay_s(
     flow_l_per_min: Values, line_length_m: float, line_inner_diameter_mm: float
 ) -> Values:
-    """Time that oil takes through the drain line.
+    """Return time that oil takes through the drain line.
 
     .. math:: \\tau(t) = \\frac{L}{v(t)}, \\qquad v = \\frac{y}{\\pi d^2 / 4}
 
@@ -66,7 +66,7 @@ def delay_on_grid_s(
 
 
 def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
-    """A channel of the time base at another time: element i is its value at i + steps[i].
+    """Return a channel of the time base at another time: element i is its value at i + steps[i].
 
     Steps are periods of the time base; not finite where not known.
     """

@@ -38,12 +38,12 @@ class SensorRatio(NamedTuple):
     median_c: float
 
     def at(self, temperature_c: float) -> float:
-        """The ratio at a temperature."""
+        """Return the ratio at a temperature."""
         return math.exp(self.log_median + self.per_kelvin * (temperature_c - self.median_c))
 
 
 def sensor_ratio(oil: Oil, samples: Samples) -> SensorRatio | str | None:
-    """Logged viscosity over the data sheet's at the logged temperature.
+    """Return logged viscosity over the data sheet's at the logged temperature.
 
     None where no channel has it; a text says why a channel cannot tell it. The change with
     temperature is that of least squares, drawn to 0 where the night's temperatures hardly differ.
@@ -88,10 +88,10 @@ def viscosity_ratios(
 
 
 def mean_ratio(ratios: Array | None, n: Sequence[int]) -> float | None:
-    """Mean over the samples of a night's blocks; None where the data sheet holds."""
+    """Return mean over the samples of a night's blocks; None where the data sheet holds."""
     return None if ratios is None else float(np.average(ratios, weights=np.array(n)))
 
 
 def driven(columns: Sequence[str]) -> Mask:
-    """Columns of the statistics that are proportional to 1/η."""
+    """Return columns of the statistics that are proportional to 1/η."""
     return np.array([name not in UNDRIVEN for name in columns], dtype=np.bool_)

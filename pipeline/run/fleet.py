@@ -220,7 +220,7 @@ def _run(
 
 @contextmanager
 def staging_folder(output: Path) -> Iterator[Path]:
-    """A folder for this run's staged rows; those of killed runs are removed.
+    """Yield a folder for this run's staged rows; those of killed runs are removed.
 
     Nobody else may enter it: what tasks leave there is published.
     """
@@ -238,7 +238,7 @@ def staging_folder(output: Path) -> Iterator[Path]:
 
 
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
-    """A motor's outcome; one whose trends failed has failed."""
+    """Return a motor's outcome; one whose trends failed has failed."""
     if loss is None or outcome.status == FAILED:
         return outcome
     how = f"trends: {legible(loss.how)}"

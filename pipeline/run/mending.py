@@ -90,7 +90,7 @@ def forget_lost(state: State, faults: Sequence[TableFault]) -> Nights:
 
 
 def damage_left(faults: Sequence[TableFault], fitted: Nights, made: Nights) -> Iterator[TableFault]:
-    """What of the damage a run has not made up for, given the nights that it has made."""
+    """Yield what of the damage a run has not made up for, given the nights that it has made."""
     for fault in faults:
         if fault.code not in LOST:
             yield fault
@@ -109,5 +109,5 @@ def damage_left(faults: Sequence[TableFault], fitted: Nights, made: Nights) -> I
 
 
 def _nights_of(name: str) -> list[dt.date]:
-    """Nights of a file with rows of motors; none of another one."""
+    """Return nights of a file with rows of motors; none of another one."""
     return days_of(PurePosixPath(name).stem) if name.split("/")[0] in OF_MOTORS else []

@@ -54,7 +54,7 @@ def metrics_text(
     backlogs: Sequence[Backlog],
     last_good_run: dt.datetime | None,
 ) -> str:
-    """The metrics in Prometheus's text format, each with the label `fleet`."""
+    """Return the metrics in Prometheus's text format, each with the label `fleet`."""
     families: dict[tuple[str, str], list[Sample]] = {
         ("motor_state", "1 for the state of a motor, 0 for the others"): [
             ({"motor": one.motor_id, "state": state}, float(one.state == state))
@@ -92,12 +92,12 @@ def metrics_text(
 
 
 def intraday_metrics_file(path: Path) -> Path:
-    """File of the intraday check beside that of the runs, as both replace theirs whole."""
+    """Return file of the intraday check beside that of the runs, as both replace theirs whole."""
     return path.with_name(f"{path.stem}-intraday{path.suffix}")
 
 
 def intraday_metrics_text(fleet: Fleet, checks: Sequence[MotorCheck]) -> str:
-    """The metrics of an intraday check, by motor."""
+    """Return the metrics of an intraday check, by motor."""
     return _text(
         fleet,
         {
@@ -133,7 +133,7 @@ def _family(name: str, words: str, fleet: str, samples: Iterable[Sample]) -> Ite
 
 
 def _escaped(text: str) -> str:
-    """A label's value.
+    """Return a label's value.
 
     Examples
     --------

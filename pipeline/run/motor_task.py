@@ -147,7 +147,7 @@ class MotorRun(NightPlan):
         )
 
     def _night(self, label: dt.date, step: Step) -> NightOutcome | None:
-        """Outcome of a night; None where it stays as published, for want of its logs."""
+        """Return outcome of a night; None where it stays as published, for want of its logs."""
         if step.work is Work.STAY:
             self.stay(label, step.reason)
             return None
@@ -265,7 +265,7 @@ class MotorRun(NightPlan):
         return self._unless_changed(outcome)
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
-        """A night's outcome; it fails where its columns or units are others than before."""
+        """Return a night's outcome; it fails where its columns or units are others than before."""
         now = next(map(readings_of, outcome.rows["nights"]), {})
         why = None
         if now and (usual := self._usual(outcome.night)):
@@ -291,7 +291,7 @@ class MotorRun(NightPlan):
     def _rows_of(
         self, nights: Collection[dt.date], table: Table, columns: tuple[str, ...]
     ) -> list[Row]:
-        """Rows of some nights, as this run made them or as they are published."""
+        """Return rows of some nights, as this run made them or as they are published."""
         made = {
             night: self.done[night].rows[table.name]
             for night in nights

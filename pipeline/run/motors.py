@@ -23,7 +23,7 @@ from pipeline.workers.engine import Workers
 def motor_outcomes(
     workers: Workers, tasks: Sequence[MotorTask], execution: Execution, state: State
 ) -> Iterator[MotorOutcome]:
-    """Outcomes of the motors with nothing new, then those of the others.
+    """Yield outcomes of the motors with nothing new, then those of the others.
 
     A night that workers are lost in is given up, and so is a log that does not answer; a motor of
     which more are lost, or of which it is not known in what, has failed.
@@ -84,7 +84,7 @@ def unchanged_motors(
 
 
 def _look(spec: MotorSpec) -> Mapping[str, FileRecord]:
-    """The logs of a motor as they are, unopened; none where one is absent."""
+    """Return the logs of a motor as they are, unopened; none where one is absent."""
     try:
         paths, absent = find_logs(spec)
     except OSError:

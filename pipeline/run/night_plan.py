@@ -66,7 +66,7 @@ def peak_memory_mib() -> float:
 
 
 def _without_failures(processed: ProcessedLogs) -> ProcessedLogs:
-    """A record of processed logs that knows nothing of the logs and nights that failed."""
+    """Return a record of processed logs that knows nothing of the logs and nights that failed."""
     nights = {label: night for label, night in processed.nights.items() if night.status != FAILED}
     failed = processed.nights.keys() - nights.keys()
     files = {
@@ -170,7 +170,7 @@ class NightPlan:
         return steps | dict.fromkeys(asked, Step(Work.READ, "asked for"))
 
     def open_nights(self) -> dict[dt.date, Step]:
-        """Nights still to do within the asked-for range."""
+        """Return nights still to do within the asked-for range."""
         later = dict(self.by_settings)
         present, waiting = self.logs.present(), self.logs.waiting()
         for name in self.logs.files:
@@ -192,17 +192,17 @@ class NightPlan:
         }
 
     def _step(self, label: dt.date, news: str, present: set[dt.date]) -> Step:
-        """What is to be done about a night of which a log has news."""
+        """Return what is to be done about a night of which a log has news."""
         is_lost = label not in present and self.is_published(label) and not self.has_its_logs(label)
         return Step(Work.STAY, NO_LOG) if is_lost else Step(Work.READ, news)
 
     def is_published(self, label: dt.date) -> bool:
-        """True where a night was made from samples."""
+        """Return True where a night was made from samples."""
         record = self.nights_before.get(label)
         return record is not None and record.status in WITH_SAMPLES
 
     def has_its_logs(self, label: dt.date) -> bool:
-        """True where all is there that a night was made from."""
+        """Return True where all is there that a night was made from."""
         record = self.nights_before.get(label)
         return record is not None and self.logs.has_contents(record.logs)
 
@@ -216,7 +216,7 @@ class NightPlan:
         self.stays[label] = why
 
     def holes(self) -> list[dt.date]:
-        """Nights between two logs that no log covers and that have no row yet."""
+        """Return nights between two logs that no log covers and that have no row yet."""
         if not self.done:
             return []
         known = self.logs.present() | self.records.keys()
@@ -271,7 +271,7 @@ class NightPlan:
         return failed - self.logs.present()
 
     def _n_standing(self) -> int:
-        """Failures that stand after this run: nights, logs of no night, and absent logs."""
+        """Return failures that stand after this run: nights, logs of no night, and absent logs."""
         failed = [
             label
             for label, record in self.records.items()
@@ -280,7 +280,7 @@ class NightPlan:
         return len(failed) + len(self._failed_logs()) + len(self.logs.absent)
 
     def _failed_logs(self) -> dict[str, FileRecord]:
-        """Logs that cannot be read, and that no night fails with."""
+        """Return logs that cannot be read, and that no night fails with."""
         staying = {label for label, record in self.records.items() if record.stays}
         return {
             name: file
@@ -352,7 +352,7 @@ class NightPlan:
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
-    """Nights that a run would do, motor by motor, and why; of logs only the ends are read.
+    """Yield nights that a run would do, motor by motor, and why; of logs only the ends are read.
 
     Raises StoreError if a published table that is needed is damaged.
     """
@@ -378,7 +378,7 @@ def plan_states(request: RunRequest, stays: Collection[str]) -> Iterator[tuple[s
 
 
 def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
-    """Motors whose trends a run would make anew from their first night on, and why, in words.
+    """Yield motors whose trends a run would make anew from their first night on, and why, in words.
 
     Those of nights that are new or made anew follow in any case.
     """

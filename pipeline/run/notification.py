@@ -35,7 +35,7 @@ def settle_intraday(fleet: Fleet, state: State) -> None:
 
 
 def summary_rows(fleet: Fleet) -> list[dict[str, str]]:
-    """State of each motor for a summary, the most urgent first."""
+    """Return state of each motor for a summary, the most urgent first."""
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
     return [
         {

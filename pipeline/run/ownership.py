@@ -54,7 +54,7 @@ def claim_output(state: State, fleet: Fleet) -> None:
 
 
 def newest_run(output: Path) -> str:
-    """Start of the newest run in the tables; empty without one that can be read."""
+    """Return start of the newest run in the tables; empty without one that can be read."""
     found = _newest(output).get("started_at")
     return found.isoformat() if found else ""
 

@@ -217,7 +217,7 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
 def _gone_motors(
     state: State, published: pl.DataFrame, own: Collection[str], decisions: Sequence[Decision]
 ) -> list[str]:
-    """Motors that the config has no more, and of which nobody has confirmed it."""
+    """Return motors that the config has no more, and of which nobody has confirmed it."""
     before = {row["motor_id"]: row for row in published.to_dicts()}
     known = before.keys() | {motor_id for (motor_id,) in state.rows("SELECT motor_id FROM motors")}
     gone = sorted(known.difference(own))
@@ -232,7 +232,7 @@ def _gone_motors(
 
 
 def _published_latest(output: Path) -> pl.DataFrame:
-    """The table `latest` of the run before; empty where there is none that is whole."""
+    """Return the table `latest` of the run before; empty where there is none that is whole."""
     try:
         return read_table(whole_file(output, LATEST), LATEST)
     except StoreError as error:
@@ -242,12 +242,12 @@ def _published_latest(output: Path) -> pl.DataFrame:
 
 
 def config_hash_of(specs: Sequence[MotorSpec]) -> str:
-    """Hash of the settings of all motors."""
+    """Return hash of the settings of all motors."""
     return hash_of({spec.motor_id: hash_of_config(spec) for spec in specs})
 
 
 def run_id_of(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
-    """Hash of the code, the settings and the contents that were read."""
+    """Return hash of the code, the settings and the contents that were read."""
     inputs = [text for outcome in outcomes for text in (outcome.motor_id, *outcome.inputs)]
     text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -41,11 +41,11 @@ class StoredNights:
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
     def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[Row]]:
-        """Rows of a night by table."""
+        """Return rows of a night by table."""
         return {table.name: self._rows(table, label) for table in tables}
 
     def night(self, label: dt.date) -> PublishedNight:
-        """Rows of a night."""
+        """Return rows of a night."""
         rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
         return PublishedNight(label, rows, self._of_night(BLOCKS, label))
 

@@ -78,7 +78,7 @@ class RunRequest:
         staging: Path,
         processed: ProcessedLogs | None = None,
     ) -> MotorTask:
-        """The task of a motor."""
+        """Return the task of a motor."""
         return MotorTask(
             spec=spec,
             output=self.fleet.output,
@@ -95,7 +95,7 @@ class RunRequest:
         )
 
     def _decided(self, spec: MotorSpec, kind: Kind) -> frozenset[dt.date]:
-        """Nights of a motor that a person decided on."""
+        """Return nights of a motor that a person decided on."""
         decisions = read_decisions(self.fleet.output)
         return frozenset(
             decision.night
@@ -160,11 +160,11 @@ class MotorTask:
         return {loss.log: loss for loss in self.given_up if loss.log}
 
     def asks_for(self, label: dt.date) -> bool:
-        """True where a person wants a night made anew, whatever its logs lack."""
+        """Return True where a person wants a night made anew, whatever its logs lack."""
         return self.redo is not None and self.redo[0] <= label <= self.redo[1]
 
     def wants(self, label: dt.date) -> bool:
-        """True where a night lies within the asked-for range."""
+        """Return True where a night lies within the asked-for range."""
         return (self.since is None or label >= self.since) and (
             self.until is None or label <= self.until
         )
@@ -212,12 +212,12 @@ class MotorOutcome:
 
 
 def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
-    """The outcome of a task that was lost as a whole."""
+    """Return the outcome of a task that was lost as a whole."""
     return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
 
 
 def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up the log or night it was lost in; None: unknown, or too many."""
+    """Return the task that gives up the log or night it was lost in; None: unknown, or too many."""
     if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
     return replace(task, given_up=(*task.given_up, loss))

@@ -85,7 +85,7 @@ class Table:
 
 
 def _lines(name: str) -> Iterator[list[str]]:
-    """Lines of a file beside this one, without its header."""
+    """Yield lines of a file beside this one, without its header."""
     with Path(__file__).with_name(name).open(encoding="utf-8", newline="") as file:
         lines = csv.reader(file)
         next(lines)
@@ -101,7 +101,7 @@ _COLUMNS = {
 
 
 def _table(name: str, row: str, copied: tuple[Column, ...] = ()) -> Table:
-    """The table of a name, of which one row is `row`; columns of another one come first."""
+    """Return the table of a name, of which one row is `row`; columns of another one come first."""
     key, columns = [], []
     for _, column, in_key, kind, unit, meaning, group in _COLUMNS[name]:
         columns.append(Column(column, TYPES[kind], unit, meaning, group))
@@ -174,7 +174,7 @@ TABLES = (
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
-    """Rows as a frame with exactly the table's columns and types; absent values are null.
+    """Return rows as a frame with exactly the table's columns and types; absent values are null.
 
     Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
     """
@@ -204,7 +204,7 @@ def _staged_schema(table: Table) -> pa.Schema:
 def _known(
     rows: Iterable[Mapping[str, Any]], table: str, columns: Iterable[str]
 ) -> list[Mapping[str, Any]]:
-    """The rows, which have no other columns than these."""
+    """Return the rows, which have no other columns than these."""
     every = list(rows)
     strangers = set().union(*every) - set(columns)
     if strangers:
@@ -213,7 +213,7 @@ def _known(
 
 
 def data_dictionary() -> pl.DataFrame:
-    """The table `data_dictionary`: every column of every table."""
+    """Return the table `data_dictionary`: every column of every table."""
     return frame(
         DATA_DICTIONARY,
         [

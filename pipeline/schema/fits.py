@@ -15,7 +15,7 @@ ModelVerdict = Literal["supported", "doubtful", "disproved"]
 
 
 def model_verdict(lack_of_fit: float) -> ModelVerdict:
-    """Verdict on a model by its lack of fit."""
+    """Return verdict on a model by its lack of fit."""
     if lack_of_fit <= SUPPORTED:
         return "supported"
     return "doubtful" if lack_of_fit <= DOUBTFUL else "disproved"

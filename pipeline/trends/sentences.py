@@ -85,7 +85,7 @@ MONTHS = (
 
 
 def name_of(indicator: str) -> str:
-    """An indicator's name for people.
+    """Return an indicator's name for people.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def name_of(indicator: str) -> str:
 
 
 def day(date: object) -> str:
-    """A date for people.
+    """Return a date for people.
 
     Examples
     --------
@@ -137,13 +137,13 @@ def limit_dates(row: Mapping[str, Any]) -> str:
 
 
 def _date_ahead(night: dt.date, days: float) -> str:
-    """A day in the next two months, a month later on."""
+    """Return a day in the next two months, a month later on."""
     date = day(night + dt.timedelta(days=int(days)))
     return date if days < TO_THE_DAY else date.split(" ", 1)[1]
 
 
 def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
-    """A motor's sentence of a night: what, how much, since when, what else it could be.
+    """Return a motor's sentence of a night: what, how much, since when, what else it could be.
 
     `quiet_since`: since when no change has been told, None without a baseline; `drifts`: zeros of
     sensors that have moved, in words.
@@ -166,13 +166,13 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
 
 
 def _no_part_is_named(night: NightState) -> bool:
-    """True where the model is the reason, be it for a change in force or for any."""
+    """Return True where the model is the reason, be it for a change in force or for any."""
     unnamed = night.change is not None and night.change.cause == "cannot_be_told"
     return night.model_verdict == "disproved" or (unnamed and night.model_verdict == "doubtful")
 
 
 def advice(night: NightState, drifts: Sequence[str]) -> str:
-    """What to do in a night: one order, or what would identify the cause."""
+    """Return what to do in a night: one order, or what would identify the cause."""
     if night.way == "limit" and night.change is None:
         return _inspect("the motor", night.state)
     if night.state == "stale":
@@ -208,7 +208,7 @@ def _inspect(what: str, state: str) -> str:
 
 
 def _to_identify(night: NightState, change: Change) -> str:
-    """What would distinguish the causes that are left."""
+    """Return what would distinguish the causes that are left."""
     if change.is_several:
         return (
             "Take an oil sample first, and check the flow meter; "
@@ -265,7 +265,7 @@ def _quiet(night: NightState, since: dt.date) -> str:
 
 
 def _changed(night: NightState, change: Change) -> str:
-    """A change that stands told."""
+    """Return a change in force in words."""
     what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
     if ONE_OF in change.cause:
         what = f"leakage has {{risen}} through one or more of: {_one_of(change.cause)}"
@@ -291,7 +291,7 @@ def _changed(night: NightState, change: Change) -> str:
 
 
 def _beside_circuit(night: NightState, change: Change) -> str:
-    """The motor's own part, and what the circuit's other motors did over the same nights."""
+    """Return the motor's own part, and what the circuit's other motors did over the same nights."""
     circuit = night.circuit
     if circuit is None or change.cause == "odd_nights":
         return ""
@@ -302,7 +302,7 @@ def _beside_circuit(night: NightState, change: Change) -> str:
 
 
 def _others(change: Change) -> str:
-    """What it could be, with probabilities."""
+    """Return what it could be, with probabilities."""
     several = sorted(change.candidates.items(), key=lambda item: -item[1])
     if change.cause == "cannot_be_told":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
@@ -325,12 +325,12 @@ def _newest_night(night: NightState) -> str:
 
 
 def _quantity(change: Change | None) -> str:
-    """What a change is of: a flushing and a meter's zero are no leakage (model.md, 7c.3)."""
+    """Return what a change is of: a flushing and a meter's zero are no leakage (model.md, 7c.3)."""
     return "case drain flow" if change is not None and change.cause in NO_LEAKAGE else "leakage"
 
 
 def relative_change(size: Estimate) -> str:
-    """A relative change with its interval, in per cent."""
+    """Return a relative change with its interval, in per cent."""
     return in_percent(100 * size.value, 100 * size.lower, 100 * size.upper)
 
 
@@ -365,7 +365,7 @@ def part_of(cause: str) -> str:
 
 
 def in_percent(value: float, lower: float, upper: float) -> str:
-    """A change in per cent with its interval; a zero has no minus.
+    """Return a change in per cent with its interval; a zero has no minus.
 
     Examples
     --------
@@ -385,7 +385,7 @@ def _since(change: Change) -> str:
 
 
 def cause_words(name: str) -> str:
-    """A cause for people, or causes that cannot be told apart.
+    """Return a cause for people, or causes that cannot be told apart.
 
     Examples
     --------
@@ -400,7 +400,7 @@ def _one_of(label: str) -> str:
 
 
 def is_of_parts(label: str) -> bool:
-    """True if a cause, or all that cannot be told apart, are parts of the motor."""
+    """Return True if a cause, or all that cannot be told apart, are parts of the motor."""
     return all(name not in CAUSES and name not in WHAT for name in label.split(ONE_OF))
 
 
@@ -410,5 +410,5 @@ def _parts(change: Change) -> str:
 
 
 def percent(probability: float) -> str:
-    """A probability for people."""
+    """Return a probability for people."""
     return "above 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"

@@ -46,7 +46,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 
 
 def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
-    """What is needed of the motors of a circuit."""
+    """Return what is needed of the motors of a circuit."""
     spans = circuit.spans(task.changed_from, task.newest_night)
     wanted = []
     for spec in circuit.specs:

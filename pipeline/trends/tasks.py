@@ -32,7 +32,7 @@ DAY = dt.timedelta(days=1)
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
-    """Motors by oil circuit; one without a circuit is a group of its own."""
+    """Return motors by oil circuit; one without a circuit is a group of its own."""
     circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
     for spec in specs:
         circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
@@ -104,7 +104,7 @@ class Circuit:
 def decisions_of(
     specs: Iterable[MotorSpec], decisions: Iterable[Decision]
 ) -> dict[str, tuple[Decision, ...]]:
-    """Decisions of people on some motors, by motor."""
+    """Return decisions of people on some motors, by motor."""
     by_motor: dict[str, list[Decision]] = {spec.motor_id: [] for spec in specs}
     for decision in decisions:
         if decision.motor_id in by_motor:
@@ -123,12 +123,12 @@ class NewestNight:
     further: Mapping[str, dt.date] = field(default_factory=dict)
 
     def of(self, motor_id: str) -> dt.date:
-        """The last night of a motor of which something is said."""
+        """Return the last night of a motor of which something is said."""
         return self.further.get(motor_id, self.night)
 
 
 def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
-    """Newest night, be its row published or not; None where no motor has kept a sample.
+    """Return newest night, be its row published or not; None where no motor has kept a sample.
 
     A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
     in the newest night: it would make every other motor silent since."""
@@ -205,7 +205,7 @@ def trend_tasks(
     decisions: tuple[Decision, ...],
     motors_a_task: int,
 ) -> Iterator[TrendTask]:
-    """Tasks of whole circuits with nights to be made, of about so many motors each.
+    """Yield tasks of whole circuits with nights to be made, of about so many motors each.
 
     What a task needs of the state file is read when it is drawn: together it may not fit into the
     memory.
@@ -236,18 +236,18 @@ def trend_tasks(
 
 
 def checkpoint_file(staging: Path, motor_id: str) -> Path:
-    """File below the staging folder with a motor's checkpoint."""
+    """Return file below the staging folder with a motor's checkpoint."""
     return staging / "checkpoints" / motor_id
 
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
-    """The outcome of a task that was lost as a whole."""
+    """Return the outcome of a task that was lost as a whole."""
     ids = (spec.motor_id for spec in task.specs)
     return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
 
 
 def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
-    """The task that gives up the motor in which it was lost; None where it is not known."""
+    """Return the task that gives up the motor in which it was lost; None where it is not known."""
     if not loss.part:
         return None
     return replace(task, given_up={**task.given_up, loss.part: loss})

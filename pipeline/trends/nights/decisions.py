@@ -54,7 +54,7 @@ class Decision:
 
 
 def is_withdrawn(decisions: Iterable[Decision], raised: dt.date) -> bool:
-    """True where an inspection has not confirmed what was raised on a night."""
+    """Return True where an inspection has not confirmed what was raised on a night."""
     return any(
         decision.finding == "not_confirmed" and decision.night >= raised for decision in decisions
     )
@@ -69,7 +69,7 @@ def record_decision(output: Path, decision: Decision) -> None:
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
-    """All decisions, the oldest first."""
+    """Return all decisions, the oldest first."""
     with read_state_file(output) as state:
         return _read(state)
 

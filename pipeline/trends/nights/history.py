@@ -54,7 +54,7 @@ RECORD = np.dtype(
 
 
 def blank_records(nights: Sequence[dt.date]) -> Records:
-    """Records of nights of which nothing is known."""
+    """Return records of nights of which nothing is known."""
     records = np.zeros(len(nights), dtype=RECORD)
     for name in (*OF_BLOCKS, *OPERATED, *WATCHED):
         records[name] = np.nan
@@ -94,7 +94,7 @@ class History:
         return int(np.searchsorted(self.records["night"], np.datetime64(date)))
 
     def running_hours(self, end: int) -> Array:
-        """Running hours since the first night at the end of each up to a place.
+        """Return running hours since the first night at the end of each up to a place.
 
         Nights without a log take the mean of the 30 before."""
         hours: Array = self.records["running_hours"][:end]
@@ -109,7 +109,7 @@ class History:
 
 
 def every_night(records: Records, until: dt.date) -> Records:
-    """Records of every night up to one, those without a row as well.
+    """Return records of every night up to one, those without a row as well.
 
     Of a motor that has been silent for long nothing is said any more: a clock was wrong, or it is
     gone.
@@ -151,7 +151,7 @@ class BaselinePeriod:
 
 
 def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod, ...]:
-    """The baseline periods of the leakage, or of a sensor's zero."""
+    """Return the baseline periods of the leakage, or of a sensor's zero."""
     starts: dict[int, list[str]] = {0: []}
     borders = [] if of_what in SENSORS else _changed_settings(history)
     for event in sorted(history.spec.file.baseline_events, key=lambda event: event.date):
@@ -180,12 +180,12 @@ def periods_of(history: History, of_what: str = LEAKAGE) -> tuple[BaselinePeriod
 
 
 def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod:
-    """The baseline period of a night; the last one's for nights to come."""
+    """Return the baseline period of a night; the last one's for nights to come."""
     return next((period for period in periods if place < period.end), periods[-1])
 
 
 def _changed_settings(history: History) -> list[tuple[int, str]]:
-    """Nights whose statistics were shaped by other settings than those before.
+    """Return nights whose statistics were shaped by other settings than those before.
 
     A changed setting makes all nights anew whose logs are there; where they are not, the flows
     before and after cannot be compared. The oil is dated by an event of its own, and periods set

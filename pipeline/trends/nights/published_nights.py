@@ -122,7 +122,7 @@ class PublishedNights:
         return self.beginning or dt.date.max
 
     def why_no_blocks(self, night: dt.date) -> str:
-        """Why a night has no blocks that count, in words."""
+        """Return why a night has no blocks that count, in words."""
         if night in self.excluded:
             return self.excluded[night]
         row = self.rows.get(night)
@@ -223,14 +223,14 @@ def _read_rows(output: Path, motors: Mapping[str, PublishedNights]) -> None:
 def _rows_since(
     output: Path, table: Table, columns: Sequence[str], first: Mapping[str, dt.date]
 ) -> Iterator[Row]:
-    """Rows of some motors, of each from a night of its own on."""
+    """Yield rows of some motors, of each from a night of its own on."""
     for night, motors in _by_night(first).items():
         labels = list(takewhile(night.__le__, nights_back(output, table)))
         yield from read_rows(output, table, motors, columns, nights=labels).iter_rows(named=True)
 
 
 def _by_night(first: Mapping[str, dt.date]) -> dict[dt.date, list[str]]:
-    """Motors by night."""
+    """Return motors by night."""
     found: dict[dt.date, list[str]] = {}
     for motor_id, night in first.items():
         found.setdefault(night, []).append(motor_id)
@@ -310,7 +310,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _night_blocks(watch_columns: WatchColumns, stored: StoredBlocks | None) -> NightBlocks | None:
-    """Blocks of a night as the watch takes them; None where they do not count."""
+    """Return blocks of a night as the watch takes them; None where they do not count."""
     if stored is None or stored.rows["model_hash"].n_unique() != 1:
         return None
     found = watch_columns.night_blocks(stored)

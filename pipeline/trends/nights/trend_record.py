@@ -26,7 +26,7 @@ class Record:
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
-    """Hash of all settings that shape a motor's trends: its own config and decisions.
+    """Return hash of all settings that shape a motor's trends: its own config and decisions.
 
     Those of its circuit's other motors are no reason to make its trends anew.
     """
@@ -39,7 +39,7 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
 
 
 def read_records(state: State) -> dict[str, Record]:
-    """Records of the trends of all motors, by motor."""
+    """Return records of the trends of all motors, by motor."""
     rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from FROM trends")
     return {
         motor_id: Record(

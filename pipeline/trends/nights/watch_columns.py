@@ -40,7 +40,7 @@ class WatchColumns:
 
     @classmethod
     def of(cls, spec: MotorSpec, night: dt.date) -> WatchColumns:
-        """The watch_columns of a motor; which night does not matter."""
+        """Return the columns of a motor; which night does not matter."""
         flushing = spec.file.flushing
         motor = spec.motor(night, flushing.mode)
         names = tuple(path.name for path in motor.column_paths)
@@ -72,7 +72,7 @@ class WatchColumns:
         return tuple(path for path, name in pairs if name.startswith(LOSS_FACTOR))
 
     def machine(self, spec: MotorSpec, night: dt.date) -> Machine:
-        """The motor in a baseline period that begins with a night.
+        """Return the motor in a baseline period that begins with a night.
 
         An oil that is measured is no other grade, and corrects itself where the temperature is
         wrong.
@@ -116,7 +116,7 @@ class WatchColumns:
         )
 
     def drives_at(self, spec: MotorSpec, night: dt.date, at: Conditions) -> Array | str:
-        """Flow a unit of each coefficient at some conditions, without the flushing.
+        """Return flow a unit of each coefficient at some conditions, without the flushing.
 
         A text where the model does not hold there, which says why.
         """
@@ -129,7 +129,7 @@ class WatchColumns:
         return drives
 
     def driven(self, columns: Array) -> Array:
-        """Columns of the paths as the watch has them, of those up to the known flow."""
+        """Return columns of the paths as the watch has them, of those up to the known flow."""
         taken = [True] * len(self.paths) + [self.is_flushed, self.is_known]
         chosen: Array = columns[:, np.array(taken)]
         return chosen

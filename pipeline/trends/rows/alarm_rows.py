@@ -25,12 +25,12 @@ CHANGES = ("leakage_change_percent", "leakage_change_lower", "leakage_change_upp
 
 
 def what_of(row: Mapping[str, Any]) -> str:
-    """What a row of `alarms` is of: the leakage, or the zero of a sensor."""
+    """Return what a row of `alarms` is of: the leakage, or the zero of a sensor."""
     return str(row["cause"]) if row["cause"] in SENSORS else LEAKAGE
 
 
 def alarm_rows(states: Mapping[str, Sequence[Row]], published: Sequence[Row]) -> list[Row]:
-    """Changes of state in some nights, together with what had been raised in them before.
+    """Return changes of state in some nights, together with what had been raised in them before.
 
     `states` has by what they are of the states in nights in a row, up to the motor's last, in the
     columns of `nights`; `published` are all rows of the motor so far: those of the nights before
@@ -73,12 +73,12 @@ def _changes(name: str, nights: Sequence[Row], published: Mapping[dt.date, Row])
 
 
 def _is_detected(night: Row) -> bool:
-    """True in the night in which a change was detected, whatever the state before."""
+    """Return True in the night in which a change was detected, whatever the state before."""
     return night.get("detected_on") == night["night"] and not night["still_rising"]
 
 
 def _words(night: Row, before: str, raised: Row | None) -> str:
-    """What is reported of a change of state; it ends on what to do."""
+    """Return what is reported of a change of state; it ends on what to do."""
     words = str(night["sentence"])
     if night["state"] == "ok":
         words = f"{WHY_OK.get(before, 'back where it was')}: {words}"
@@ -104,7 +104,7 @@ def _row(name: str, night: Row, before: str, words: str) -> Row:
 
 
 def new_rows(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
-    """Rows that say something which was not published before."""
+    """Return rows that say something which was not published before."""
     content = itemgetter(*ALARM_CONTENT)
     before = {row["id"]: content(row) for row in published}
     return [row for row in rows if before.get(row["id"]) != content(row)]
@@ -113,7 +113,7 @@ def new_rows(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
 def without_past(
     rows: Sequence[Row], new: Sequence[Row], published: Sequence[Row], last_night: dt.date
 ) -> list[Row]:
-    """The new rows that people are notified of.
+    """Return the new rows that people are notified of.
 
     Of past nights, up to the last one that was reported, these are the rows of the state that is
     in force now, where it is another than the one reported last.

@@ -157,7 +157,7 @@ class MotorState:
 
 
 def fit_words(name: str, percent: float) -> str:
-    """A fit with its name; a poor one is called that.
+    """Return a fit with its name; a poor one is called that.
 
     Examples
     --------
@@ -177,7 +177,7 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
 
 
 def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
-    """A row of `latest` with the last acknowledgement since its state began."""
+    """Return a row of `latest` with the last acknowledgement since its state began."""
     said = [
         decision.note or decision.kind
         for decision in decisions
@@ -231,7 +231,7 @@ def _as_removed(row: Row) -> Row:
 
 
 def is_confirmed(row: Row, decisions: Sequence[Decision]) -> bool:
-    """True where a person has confirmed that a motor is gone."""
+    """Return True where a person has confirmed that a motor is gone."""
     return any(
         (decision.motor_id, decision.kind) == (row["motor_id"], "removed")
         and row["night"] is not None
@@ -276,13 +276,13 @@ def _unknown(motor_id: str) -> Row:
 
 
 def _by_motor(rows: pl.DataFrame) -> dict[str, Row]:
-    """The last of each motor's rows, by motor."""
+    """Return the last of each motor's rows, by motor."""
     last = rows.unique("motor_id", keep="last", maintain_order=True)
     return {row["motor_id"]: row for row in last.iter_rows(named=True)}
 
 
 def _sensors(output: Path, motor_ids: Sequence[str]) -> dict[str, str]:
-    """Health of each motor's sensors, by the changes of state of their zeros."""
+    """Return health of each motor's sensors, by the changes of state of their zeros."""
     rows = read_rows(output, ALARMS, motor_ids, ("motor_id", "night", "cause", "to_state"))
     last = rows.filter(pl.col("cause").is_in(SENSORS)).sort("night")
     states: dict[str, set[str]] = {}

@@ -45,7 +45,7 @@ class MotorTrends:
 
     @classmethod
     def of(cls, course: Course, first: dt.date, stays: Mapping[dt.date, str]) -> MotorTrends:
-        """A motor of which no night is made yet."""
+        """Return a motor of which no night is made yet."""
         zeros = sensor_zeros(course.nights.history)
         changed = _last_changed(course.nights.alarms, first)
         return cls(course, first, zeros, changed, stays, {NIGHTS: [], TRENDS: []})
@@ -89,7 +89,7 @@ class MotorTrends:
         )
 
     def _messages(self, label: dt.date) -> list[str]:
-        """What is to be said of a night's logs."""
+        """Return what is to be said of a night's logs."""
         why = self.stays.get(label)
         return [
             *([f"as published: {why}"] if why else []),
@@ -97,7 +97,7 @@ class MotorTrends:
         ]
 
     def _quiet_since(self, night: NightState) -> dt.date | None:
-        """Since when no change has been in force."""
+        """Return since when no change has been in force."""
         baseline = night.baseline
         return None if baseline is None else max(baseline.start, self.changed + DAY)
 
@@ -138,7 +138,7 @@ class MotorTrends:
                 row["sentence"] = f"{words.removesuffix('.')}; now: {row['sentence']}"
 
     def _sensor_state(self, zero: Zero, place: int) -> Row:
-        """State of a sensor in a night, in the columns of `nights`."""
+        """Return state of a sensor in a night, in the columns of `nights`."""
         label = self.course.nights.history.nights[place]
         words = self.drifts[label].get(zero.name, "")
         state = "ok" if zero.state[place] == "warning" and not words else zero.state[place]
@@ -152,7 +152,7 @@ class MotorTrends:
         }
 
     def by_table(self) -> dict[Table, list[Row]]:
-        """The rows of all tables, with the changes of state."""
+        """Return the rows of all tables, with the changes of state."""
         return {ALARMS: self.alarms(), **self.rows}
 
 
@@ -171,7 +171,7 @@ def _add_state_since(nights: Sequence[Row], changes: Sequence[Row]) -> None:
 
 
 def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:
-    """The last night before one in which a change of the leakage was in force."""
+    """Return the last night before one in which a change of the leakage was in force."""
     states = sorted((row["night"], row["to_state"]) for row in alarms if what_of(row) == LEAKAGE)
     last, is_changed = dt.date.min, False
     for night, state in states:

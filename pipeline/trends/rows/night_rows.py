@@ -44,7 +44,7 @@ def state_columns(
     drifts: Sequence[str],
     notices: Sequence[str],
 ) -> Row:
-    """Leakages, their change, the state with its words, and the baseline of a night."""
+    """Return leakages, their change, the state with its words, and the baseline of a night."""
     change, verdict, baseline = night.change, night.verdict, night.baseline
     row: Row = {
         "state": night.state,
@@ -98,7 +98,7 @@ def _of_change(night: NightState, change: Change) -> Row:
 
 
 def _leakages(night: NightState) -> Row:
-    """Leakages at the motor's own and at the reference conditions, or why one is missing."""
+    """Return leakages at the motor's own and at the reference conditions, or why one is missing."""
     if not night.n_blocks:
         return {"leakage_reason": night.why_no_blocks}
     row: Row = {}
@@ -115,7 +115,7 @@ def _leakages(night: NightState) -> Row:
 
 
 def _percent(name: str, size: Estimate) -> Row:
-    """A relative figure with its interval."""
+    """Return a relative figure with its interval."""
     return {
         f"{name}_percent": 100.0 * size.value,
         f"{name}_lower": 100.0 * size.lower,

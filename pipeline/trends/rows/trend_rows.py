@@ -31,7 +31,7 @@ NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 
 
 def trend_rows(course: Course, night: NightState, zeros: Mapping[str, Zero]) -> Iterator[Row]:
-    """Rows of a night's own fit, its blocks, and the zeros of its sensors."""
+    """Yield rows of a night's own fit, its blocks, and the zeros of its sensors."""
     place = night.place
     yield from _of_fit(course, night)
     yield from _of_blocks(course, place)
@@ -41,7 +41,7 @@ def trend_rows(course: Course, night: NightState, zeros: Mapping[str, Zero]) -> 
 
 
 def leakage_rows(course: Course, night: NightState) -> tuple[list[Row], Row]:
-    """Rows of the two leakages with their slopes, and columns of `nights` on their limit.
+    """Return rows of the two leakages with their slopes, and columns of `nights` on their limit.
 
     The limit is that of the figure that alarms: the leakage at the usual operating point at the
     alarm level, and that at the reference conditions where the motor type states one; the days are
@@ -80,7 +80,7 @@ def _leakage_row(night: NightState, name: str) -> Row:
 
 
 def _frozen(night: NightState, name: str) -> float | None:
-    """A leakage over the baseline; None where there is none."""
+    """Return a leakage over the baseline; None where there is none."""
     baseline = night.baseline
     if baseline is None:
         return None
@@ -88,7 +88,7 @@ def _frozen(night: NightState, name: str) -> float | None:
 
 
 def _line(course: Course, night: NightState, name: str, limit: float | None) -> tuple[Row, Row]:
-    """Slopes of a leakage as of a night, and the days to its limit, if it has one.
+    """Return slopes of a leakage as of a night, and the days to its limit, if it has one.
 
     Where a change is in force, of the nights since it began: a line across a step, or across
     nights before a wear began, is none. Without one, since the baseline began.
@@ -113,7 +113,7 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
 def _days(
     nights: NDArray[np.int64], hours: Array, series: Array, limit: float, years_ahead: float
 ) -> Row:
-    """Days to a limit: the fit goes by running hours, and the days by the hours of a night.
+    """Return days to a limit: the fit goes by running hours, and the days by the hours of a night.
 
     Those of the last month and of all nights may differ; the earliest date takes the larger, the
     latest the smaller.
@@ -138,7 +138,7 @@ def _days(
 
 
 def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
-    """Coefficients of the night's own fit: as such, as leakages, and as changes of gaps."""
+    """Yield coefficients of the night's own fit: as such, as leakages, and as changes of gaps."""
     history, place = course.nights.history, night.place
     figures = course.nights.parameters.get(night.night, {})
     drives = course.drives_at(course.reference, place)
@@ -179,7 +179,7 @@ def _scaled(row: Row, change: Any) -> Row:
 
 
 def _of_blocks(course: Course, place: int) -> Iterator[Row]:
-    """Mean case drain flow, and the oil as measured."""
+    """Yield mean case drain flow, and the oil as measured."""
     history = course.nights.history
     blocks = course.nights.blocks.get(history.nights[place].toordinal())
     if blocks is not None:
@@ -207,7 +207,7 @@ def _finite(value: float) -> float | None:
 
 
 def oil_as_measured(history: History, place: int) -> str:
-    """Measured viscosity of a night's oil in words, and its water; empty if not measured."""
+    """Return measured viscosity of a night's oil in words, and its water; empty if not measured."""
     ratio, night = viscosity_ratio(history, place), history.nights[place]
     if ratio is None:
         return ""
@@ -224,7 +224,7 @@ def oil_as_measured(history: History, place: int) -> str:
 
 
 def viscosity_ratio(history: History, place: int) -> float | None:
-    """Measured viscosity over the data sheet's, of the last night that has it."""
+    """Return measured viscosity over the data sheet's, of the last night that has it."""
     ratios = history.records["viscosity"][: place + 1]
     known = ratios[np.isfinite(ratios)]
     return float(known[-1]) if len(known) else None

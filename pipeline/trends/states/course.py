@@ -92,7 +92,7 @@ class Course:
 
     @classmethod
     def of(cls, output: Path, nights: PublishedNights) -> Course | None:
-        """A motor whose watch goes on from its checkpoint, or begins anew; None: neither."""
+        """Return a motor whose watch goes on from its checkpoint, or begins anew; None: neither."""
         history = nights.history
         if nights.beginning is None:
             return None
@@ -143,7 +143,7 @@ class Course:
         self.place += 1
 
     def _spread(self, watch: Watch, night: dt.date) -> float:
-        """Spread of the step of events since the watch's newest night; 0 without one."""
+        """Return spread of the step of events since the watch's newest night; 0 without one."""
         before, file = dt.date.fromordinal(watch.day), self.spec.file
         spreads = [
             SPREADS[event.kind]
@@ -179,12 +179,12 @@ class Course:
         self.waiting = []
 
     def _frozen(self, watch: Watch, at: Conditions) -> float | None:
-        """Leakage by the baseline that begins a watch."""
+        """Return leakage by the baseline that begins a watch."""
         drives = self.drives_at(at, self.place)
         return None if isinstance(drives, str) else watch.frozen_leakage_at(drives, _measured(at))
 
     def _since(self, until: int, day: int) -> list[NightBlocks]:
-        """Blocks of the nights from a day to another one, as the watch asks for them."""
+        """Return blocks of the nights from a day to another one, as the watch asks for them."""
         history, known = self.nights.history, self.nights.blocks
         begin = self.nights.blocks_from.toordinal()
         earlier = [
@@ -244,7 +244,7 @@ class Course:
         return self.spec.settings.reference.conditions(charge)
 
     def _own_leakage(self, baseline: Baseline, verdict: Verdict, place: int) -> Estimate | str:
-        """Leakage now at the motor's own conditions: the baseline's and its change (7c.3).
+        """Return leakage now at the motor's own conditions: the baseline's and its change (7c.3).
 
         By the oil of the night, which the change is no part of.
         """
@@ -297,11 +297,11 @@ class Course:
 
 
 def _measured(at: Conditions) -> Array:
-    """Temperature [°C], pressure [bar] and speed [rpm], as the watch takes them."""
+    """Return temperature [°C], pressure [bar] and speed [rpm], as the watch takes them."""
     return np.array([at.temperature_c, at.pressure_bar, at.speed_rpm])
 
 
 def watch_settings(spec: MotorSpec) -> WatchSettings:
-    """Settings of a motor's watch."""
+    """Return settings of a motor's watch."""
     trend, alarms = spec.settings.trend, spec.settings.alarms
     return WatchSettings(alarms.false_alarms_per_year, trend.baseline_nights)

@@ -128,7 +128,7 @@ class NightState:
 
 
 def parts_in(machine: Machine) -> frozenset[str]:
-    """Names of the paths that are parts."""
+    """Return names of the paths that are parts."""
     return frozenset(machine.paths) - {FLUSHING, KNOWN}
 
 
@@ -183,7 +183,7 @@ def _as_shown(change: Change, night: NightState) -> Change:
 
 
 def _state(night: NightState) -> tuple[str, str]:
-    """State, and the way into it."""
+    """Return state, and the way into it."""
     change, verdict, limits = night.change, night.verdict, night.spec.motor_type.limits
     alarms = night.spec.settings.alarms
     if night.silent > alarms.stale_after_nights:

@@ -51,7 +51,7 @@ class Zero:
     periods: tuple[BaselinePeriod, ...]  # nights that one zero at first serves
 
     def words(self, place: int, *, is_notice: bool = False) -> str:
-        """That the sensor has drifted by a night, in words; empty where it has not."""
+        """Return that the sensor has drifted by a night, in words; empty where it has not."""
         if self.state[place] != "warning":
             return ""
         moves_little = "which moves the leakage by less than its interval"
@@ -82,7 +82,7 @@ class Zero:
 
 
 def sensor_zeros(history: History) -> dict[str, Zero]:
-    """The zeros of a motor's sensors, by indicator."""
+    """Return the zeros of a motor's sensors, by indicator."""
     return {name: _zero(history, name) for name in SENSORS}
 
 
@@ -127,7 +127,7 @@ def _held(drifts: NDArray[np.bool_], halted: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def tolerance(spec: MotorSpec, name: str) -> float:
-    """Permitted move of a zero: the config's offset tolerance, at least `LEAST_MOVE`."""
+    """Return permitted move of a zero: the config's offset tolerance, at least `LEAST_MOVE`."""
     names = PRESSURES if name == PRESSURE_ZERO else ("leakage_flow",)
     declared = [spec.file.channels[one] for one in names if one in spec.file.channels]
     stated = float(np.hypot.reduce([one.offset_tolerance for one in declared]))
