@@ -10,6 +10,7 @@ import polars as pl
 
 from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.schema import LATEST, NIGHTS, TABLES
+from tests.scenarios.command import run_command
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet, step
 
 NIGHT = 12
@@ -54,7 +55,18 @@ def add_viscosity(fleet: ScenarioFleet) -> None:
 
 def test_every_column_has_a_value_somewhere(demo: ScenarioFleet, tmp_path: Path) -> None:
     filled = Filled(set)
-    filled.add(demo.output)
+    # A level that wear of the demo reaches in a time that can be told.
+    near = demo.copy(tmp_path / "near")
+    near.append("fleet.toml", "[alarms]\nalarm_percent = 14")
+    assert near.run("fit-fleet").code == 0
+    filled.add(near.output)
+    # A night with halts enough for an interval of the sensors' zeros.
+    long = ScenarioFleet(tmp_path / "long")
+    long.folder.mkdir()
+    run_command(
+        *["demo", ".", "--nights", "1", "--minutes", "240", "--rate", "1"], folder=long.folder
+    )
+    filled.add(long.fitted().output)
     fleet = make_fleet(tmp_path / "rare", *RARE, nights=NIGHT)
     fleet.append("motor_types/CB400.toml", LIMITS)
     add_viscosity(fleet)
