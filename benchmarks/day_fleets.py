@@ -8,7 +8,7 @@ import shutil
 from datetime import date
 from pathlib import Path
 
-from pipeline.demo import write_demo
+from pipeline.demo.writing import write_demo
 
 MOTORS = {"parquet": "CB400-02", "csv": "CB400-01", "mcap": "CB560-01"}
 """The motor of the demo whose logs come in a format: four channels, temperature at 1 Hz."""

@@ -61,7 +61,7 @@ def demo_folder(shared_folder: Path) -> Path:
     """The demo fleet, 3 nights of 60 minutes; only to be read."""
 
     def make(folder: Path) -> None:
-        from pipeline.demo import write_demo
+        from pipeline.demo.writing import write_demo
 
         write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
 

@@ -60,7 +60,7 @@ def check(
     2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
-    from pipeline.logs.processed import as_published, read_settings
+    from pipeline.logs.processed import as_published, read_settings, read_stays
     from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
     from pipeline.store.state import read_state_file
@@ -70,11 +70,12 @@ def check(
     fleet = load(config, None, None)
     with read_state_file(fleet.output) as state:
         settings = read_settings(state)
+        stays, _ = read_stays(state, [spec.motor_id for spec in fleet.motors])
     specs = [as_published(spec, settings.get(spec.motor_id)) for spec in fleet.motors]
     checks: tuple[MotorCheck, ...] = ()
     with progress_bar("motors", is_shown=not as_json) as draw:
         for spec in specs:
-            checks += (check_motor(spec, is_full=full),)
+            checks += (check_motor(spec, stays[spec.motor_id], is_full=full),)
             draw(len(checks), len(specs))
     for motor in checks:
         if as_json:

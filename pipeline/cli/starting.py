@@ -46,7 +46,7 @@ def demo(
     name. Its tables go to out/. The flows are the same whatever the last night's date is.
     """
     from pipeline.clock import now
-    from pipeline.demo import write_demo
+    from pipeline.demo.writing import write_demo
 
     last = last_night or now().date() - dt.timedelta(days=1)
     write_demo(

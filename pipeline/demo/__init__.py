@@ -1,5 +1,10 @@
 """A simulated fleet: six motors, their configs and logs, and the truth behind them."""
 
-from pipeline.demo.writing import shipped_configs, write_demo
+from pathlib import Path
 
-__all__ = ["shipped_configs", "write_demo"]
+
+def shipped_configs() -> Path:
+    """Return the folder of the shipped configs: the package's, or the repository's."""
+    package = Path(__file__).resolve().parents[1]
+    shipped = package / "shipped_configs"
+    return shipped if shipped.is_dir() else package.parent / "configs"

@@ -12,6 +12,7 @@ from typing import Final
 import joblib
 
 from pipeline.config import load_fleet
+from pipeline.demo import shipped_configs
 from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan, truth_document
 from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import record_night
@@ -68,13 +69,6 @@ def write_demo(
             f"{error.filename or folder} cannot be written: {error.strerror}; name another folder,"
             " or repeat when that is solved",
         ) from error
-
-
-def shipped_configs() -> Path:
-    """Return folder of the shipped configs: the package's, or the repository's."""
-    package = Path(__file__).resolve().parents[1]
-    shipped = package / "shipped_configs"
-    return shipped if shipped.is_dir() else package.parent / "configs"
 
 
 def _require_ours(demo: Path) -> None:

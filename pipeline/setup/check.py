@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -86,12 +86,14 @@ class MotorCheck:
     notes: tuple[str, ...]  # no faults, and yet worth a look
 
 
-def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
+def check_motor(
+    spec: MotorSpec, stays: Collection[dt.date] = (), *, is_full: bool = False
+) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
     Where the newest night would not be fitted, the first and the middle one are looked into, too;
-    with `is_full` all are.
+    with `is_full` all are, but for those that stay as published.
 
     Raises StoreError if an object store cannot be read.
     """
@@ -122,7 +124,8 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
         f"log_misdated: {name}: {misdated_message(records[name], days)}"
         for name, days in dated_otherwise(records).items()
     ]
-    forecast = tuple(_forecast(spec, records, sorted(nights), is_full=is_full))
+    open_nights = sorted(nights.difference(stays))
+    forecast = tuple(_forecast(spec, records, open_nights, is_full=is_full))
     notes = [*worth, *written, *_lag_notes(spec, forecast)]
     if len(names) != len(logs.names):
         notes.append(
@@ -133,7 +136,7 @@ def check_motor(spec: MotorSpec, *, is_full: bool = False) -> MotorCheck:
     if not faults:
         # Of a plant's first day there is nothing to mend.
         unfitted = notes if _is_first_night(spec, records) else faults
-        unfitted += _no_night(forecast, n_nights=len(nights))
+        unfitted += _no_night(forecast, n_nights=len(open_nights))
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
@@ -171,7 +174,7 @@ def _forecast(
 ) -> Iterator[NightForecast]:
     """Forecast the newest night; where it is not fitted, the first and middle one; or all."""
     if is_full:
-        yield from forecasts(spec)
+        yield from forecasts(spec, nights)
         return
     sizes = {
         label: sum(record.size for record in records.values() if label in labels_of(record))

@@ -87,7 +87,7 @@ _UNITS |= {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
 
 def unit_named(text: str) -> str | None:
     """Unit of the config that a text is the name of."""
-    plain = re.sub(r"[\s·\[\]]", "", text)
+    plain = re.sub(r"[\s·\[\]]|^unit[=:]", "", text)
     return _UNITS.get(plain if plain.lower() == "pa" else plain.lower())
 
 
@@ -121,7 +121,8 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     told = list(_quantities(words, name))
     said = unit_named(unit) or unit_in(name)
     if said is None and "temperature" in told:
-        said = unit_named(words[-1]) if words[-1] in ("c", "f", "k") else None
+        last = next((word for word in reversed(words) if not is_in([word], "column", "part")), "")
+        said = unit_named(last) if last in ("c", "f", "k") else None
     stated = QUANTITY_OF.get(said or "")
     if stated is not None and told and stated not in told:
         return Meaning(None, said)

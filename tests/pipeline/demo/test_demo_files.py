@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import MotorSpec
-from pipeline.demo import write_demo
+from pipeline.demo.writing import write_demo
 from pipeline.demo.fleet import DemoNight
 from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import record_night
