@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from pipeline.config import MotorSpec
-from pipeline.demo.writing import write_demo
 from pipeline.demo.fleet import DemoNight
 from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import record_night
+from pipeline.demo.writing import write_demo
 from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from tests.pipeline.calling import contents, refused
