@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.arrays import SECOND_US
-from pipeline.clock import microseconds, now
+from pipeline.arrays import SECOND_US, Times
+from pipeline.clock import microseconds, now, utc
 from pipeline.config import MotorSpec
 from pipeline.config.channels import ChannelName
 from pipeline.config.nights import night_of
@@ -277,18 +277,20 @@ def _look_into(
         *repeated_extremes(spec, log.channels),
     ]
     # What is refused mostly follows from the rest.
-    faults = faults or [*_refused(found)]
+    faults = faults or [*_refused(found, log.channels["speed"].time_us)]
     unused = unused_qualities(path_of(newest), spec.file)
     leaps = jumps(log.channels["oil_temperature"])
     return found, faults, [*notes, *filter(None, looks), *leaps, *unused]
 
 
-def _refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
-    """Faults of channels of which a rule refuses most samples."""
+def _refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:
+    """Yield faults of channels of which a rule refuses most samples."""
     for reason, how in HOW_TO_MEND.items():
         shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
         if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
             share = 100 * max(shares.values())
+            if reason.endswith("_time"):
+                how += f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
             yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
 
 
