@@ -60,7 +60,7 @@ def check(
     2: a fault in the config.
     """
     from pipeline.logs.finding import strays_told, unclaimed
-    from pipeline.logs.processed import as_published, read_settings, read_stays
+    from pipeline.logs.processed import paired_as_published, read_stays
     from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
     from pipeline.store.state import read_state_file
@@ -68,15 +68,14 @@ def check(
     if tables:
         raise typer.Exit(_check_tables(config, output, as_json=as_json))
     fleet = load(config, None, None)
+    fleet = paired_as_published(fleet, fleet.output)
     with read_state_file(fleet.output) as state:
-        settings = read_settings(state)
         stays, _ = read_stays(state, [spec.motor_id for spec in fleet.motors])
-    specs = [as_published(spec, settings.get(spec.motor_id)) for spec in fleet.motors]
     checks: tuple[MotorCheck, ...] = ()
     with progress_bar("motors", is_shown=not as_json) as draw:
-        for spec in specs:
+        for spec in fleet.motors:
             checks += (check_motor(spec, stays[spec.motor_id], is_full=full),)
-            draw(len(checks), len(specs))
+            draw(len(checks), len(fleet.motors))
     for motor in checks:
         if as_json:
             tell(asdict(motor), "", as_json=True)

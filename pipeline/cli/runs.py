@@ -168,12 +168,14 @@ def fit(
         raise UsageError("period", "expected a NIGHT, or --train and perhaps --validate")
     from tempfile import TemporaryDirectory
 
+    from pipeline.logs.processed import paired_as_published
     from pipeline.report.audit import audit
     from pipeline.report.explain import explain as explained
     from pipeline.run.fleet import RunRequest, run_fleet
 
     with TemporaryDirectory() as folder:
-        fleet = load(config, Path(folder), None)
+        published = load(config, None, None).output
+        fleet = paired_as_published(load(config, Path(folder), None), published)
         request = RunRequest(fleet, fleet.known_motors([motor]), since=night, until=night)
         result = run_fleet(request)
         growing = [log for outcome in result.outcomes for log in outcome.growing]
@@ -190,10 +192,13 @@ def fit(
 def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> None:
     """Fit a motor to a period, and say what came of it."""
     from leakage.errors import LeakageError
+    from pipeline.logs.processed import paired_as_published
     from pipeline.notebook.preparing import fit_periods
 
     try:
-        found, prepared = fit_periods(load(config, None, None), motor, train, validate)
+        fleet = load(config, None, None)
+        fleet = paired_as_published(fleet, fleet.output)
+        found, prepared = fit_periods(fleet, motor, train, validate)
     except LeakageError as error:
         say(f"{motor}: {error.code}: {error}", err=True)
         raise typer.Exit(EXIT_MOTORS_FAILED) from None

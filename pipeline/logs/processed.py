@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,12 +19,12 @@ from typing import Any, TypeVar
 import polars as pl
 
 from pipeline.clock import IN_FUTURE
-from pipeline.config import MotorSpec
+from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import DRAIN_DELAY, ROLLER
 from pipeline.messages import counted
 from pipeline.schema import NIGHTS, TIMESTAMP
 from pipeline.schema.fits import OK
-from pipeline.store.state import State
+from pipeline.store.state import State, read_state_file
 from pipeline.workers.process import still_alive
 
 Key = TypeVar("Key")
@@ -229,6 +229,14 @@ def as_published(spec: MotorSpec, settings: Mapping[str, Any] | None) -> MotorSp
     known = settings or {}
     is_free = bool(known.get(ROLLER, {}).get("is_free"))
     return spec.decided(known.get(DRAIN_DELAY), roller_is_free=is_free)
+
+
+def paired_as_published(fleet: Fleet, output: Path) -> Fleet:
+    """Return a fleet whose drain flows are paired as those that an output has."""
+    with read_state_file(output) as state:
+        settings = read_settings(state)
+    motors = (as_published(spec, settings.get(spec.motor_id)).stated for spec in fleet.motors)
+    return replace(fleet, motors=tuple(motors))
 
 
 def read_settings(state: State) -> dict[str, dict[str, Any]]:

@@ -53,13 +53,15 @@ def test_night_by_night_it_is_decided_as_at_once(
     assert "to be done: 0 nights" in by_night.run("fit-fleet", "--dry-run").out
 
 
-@covers("check --full", "explain")
+@covers("check --full", "explain", "fit")
 def test_check_and_explain_say_what_it_gains(unfitted: ScenarioFleet, fleet: ScenarioFleet) -> None:
     before = unfitted.run("check", "--full").out
     assert before.count("the drain flow lags pressure and speed by 8.0 s in the first nights") == 1
     assert "drain flow paired with inputs 8.0 s before" in fleet.run("check").out
     words = fleet.run("explain", "late", fleet.label(9)).out
     assert "drain flow paired with inputs 8.0 s before: by this night it lags 8.0 s" in words
+    # The audit of a night pairs it as it is published.
+    assert "paired with inputs 8.0 s before" in fleet.run("fit", "late", fleet.label(9)).out
     assert "drain flow paired" not in fleet.run("explain", "prompt", fleet.label(9)).out
 
 
