@@ -53,12 +53,18 @@ def test_2_where_there_are_no_tables(
     assert not elsewhere.exists()
 
 
+def stamped(fleet: Path) -> dict[Path, int]:
+    """Times of change of all files of a fleet."""
+    files = (path for path in fleet.parent.parent.rglob("*") if path.is_file())
+    return {path: path.stat().st_mtime_ns for path in files}
+
+
 def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")}
+    before = stamped(fleet)
     code, out, err = call("fit", fleet, CSV, "2026-01-03")
     assert (code, err) == (0, "")
     assert out.startswith(f"{CSV}, night of 2026-01-03: fitted")
-    assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
+    assert stamped(fleet) == before
     # The audit: the search ends at the proven minimum, wherever h and e are on the way there.
     assert "\nAudit, flushing " in out
     assert re.search(r"search: 10 of 10 starts end at the proven minimum, the best [+-]\d", out)
