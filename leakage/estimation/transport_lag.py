@@ -11,6 +11,7 @@ at every lag alike.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from leakage.arrays import Array, Places
 LONGEST_S, COARSE_S, FINE_S = 25.0, 1.0, 0.2
 # So many samples, evenly chosen, are enough to place a lag within a few hundredths of a second.
 MOST_SAMPLES = 8_000
+# Of the lags from coarse to coarse fewer tell which are likely.
+ENOUGH_FOR_COARSE, LIKELY = 2_000, 3
 # Of these, the share that a lag needs: gaps leave some without a partner.
 LEAST_SHARE = 0.5
 
@@ -68,35 +71,37 @@ def transport_lag(
     chosen = np.linspace(0, len(index) - 1, min(len(index), MOST_SAMPLES)).astype(np.int64)
     zero = -round(paired_s / period_s)
 
-    y, u = _standardised(flow), _standardised(drivers)
+    # Of all samples of a day it would cost more than the search.
+    centre, spread = drivers[chosen].mean(axis=0), drivers[chosen].std(axis=0)
+    scale = centre, np.where(spread > 0.0, spread, 1.0)
 
-    def explained(lag: int) -> float:
-        return _explained(y, u, place, index, chosen, lag)
+    @cache
+    def explained(lag: int, apart: int = 1) -> float:
+        return _explained(flow, drivers, scale, place, index, chosen[::apart], lag)
 
     coarse, fine = (max(round(step_s / period_s), 1) for step_s in (COARSE_S, FINE_S))
-    shares = {lag: explained(lag) for lag in range(zero - longest, zero + longest + 1, coarse)}
-    best = max(shares, key=lambda lag: shares[lag])
-    near = range(best - coarse, best + coarse + 1, fine)
-    shares |= {lag: explained(lag) for lag in near if lag not in shares}
-    best = max(shares, key=lambda lag: shares[lag])
-    before, here, after = (shares.get(best + step, 0.0) for step in (-fine, 0, fine))
-    if min(before, here, after) <= 0.0 or abs(best - zero) == longest:
+    apart = max(len(chosen) // ENOUGH_FOR_COARSE, 1)
+    every = range(zero - longest, zero + longest + 1, coarse)
+    likely = sorted(every, key=lambda lag: explained(lag, apart))[-LIKELY:]
+    near = max(likely, key=explained)
+    best = max(range(near - coarse, near + coarse + 1, fine), key=explained)
+    before, here, after = (explained(best + step) for step in (-fine, 0, fine))
+    if min(before, here, after) <= 0.0 or abs(best - zero) >= longest:
         return None
     bend = before - 2.0 * here + after
     top = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     lag_s = paired_s + (best + fine * top) * period_s
-    return TransportLag(lag_s, here - shares[zero] if zero in shares else here - explained(zero))
-
-
-def _standardised(values: Array) -> Array:
-    """Return values less their mean and over their spread, by column; what rests is 0."""
-    spread = values.std(axis=0)
-    standardised: Array = (values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    return standardised
+    return TransportLag(lag_s, here - explained(zero))
 
 
 def _explained(
-    flow: Array, drivers: Array, place: Places, index: Places, chosen: Places, lag: int
+    flow: Array,
+    drivers: Array,
+    scale: tuple[Array, Array],
+    place: Places,
+    index: Places,
+    chosen: Places,
+    lag: int,
 ) -> float:
     """Return R² of the flow on the drivers so many places before; 0 where samples are too few."""
     at = index[chosen] - index[0] - lag
@@ -105,7 +110,7 @@ def _explained(
     paired = partner >= 0
     if np.count_nonzero(paired) < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
         return 0.0
-    y, u = flow[chosen[paired]], drivers.take(partner[paired], axis=0)
+    y, u = flow[chosen[paired]], (drivers[partner[paired]] - scale[0]) / scale[1]
     means, mean = u.mean(axis=0), y.mean()
     total = float(y @ y - len(y) * mean**2)
     if total <= 0.0:
