@@ -105,9 +105,9 @@ def test_the_night_begins_with_its_first_sample_unless_all_channels_carry_over()
     late = cleaned([2000, 2010, 4000], [20.0, 21.0, 22.0], longest_silence_s=5000.0)
     names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
     some = together(**dict.fromkeys(names, held) | {"speed": late})
-    assert (some.first_index, some.n_grid) == (2000, 2001)
+    assert (some.index[0], some.n_logged) == (2000, 2001)
     all_of_them = together(**dict.fromkeys(names, held))
-    assert (all_of_them.first_index, all_of_them.n_grid) == (0, 3001)
+    assert (all_of_them.index[0], all_of_them.n_logged) == (0, 3001)
     assert all_of_them.time_us[0] == START
 
 
