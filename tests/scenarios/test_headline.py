@@ -5,7 +5,11 @@ from __future__ import annotations
 import datetime as dt
 import html
 import json
+import os
+import pty
 import re
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -15,6 +19,7 @@ from pipeline.config.alarms import Email
 from pipeline.notification.delivery import SUMMARY, Delivery
 from pipeline.notification.mail import message_of
 from pipeline.run.notification import summary_rows
+from tests.scenarios.command import ROOT
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet
 
@@ -72,3 +77,21 @@ def test_a_motor_has_one_headline(fleet: ScenarioFleet, tmp_path: Any) -> None:
         assert long[motor][:6] == listed[motor]
         assert long[motor][7].startswith(row["sentence"])
         assert float(listed[motor][2]) == pytest.approx(row["own_leakage_l_per_min"], rel=0.005)
+
+
+def test_status_of_six_motors_takes_ten_lines_of_100_columns(demo: ScenarioFleet) -> None:
+    main, terminal = pty.openpty()
+    command = [sys.executable, "-m", "pipeline.cli", "status", demo.config]
+    shown = {"PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
+    subprocess.run(command, env=os.environ | shown, stdout=terminal, check=True)
+    os.close(terminal)
+    text = re.sub(r"\x1b\[[0-9;]*m", "", os.read(main, 1 << 16).decode())
+    os.close(main)
+    lines = text.splitlines()
+    assert len(lines) <= 10
+    assert max(map(len, lines)) <= 100
+    for row in demo.table("latest").to_dicts():
+        (line,) = (line for line in lines if line.startswith(row["motor_id"]))
+        assert f" {row['state']} " in line
+        assert change_of(row) in line
+        assert row["advice"][:20] in line

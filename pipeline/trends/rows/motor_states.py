@@ -87,8 +87,11 @@ class MotorState:
 
     @property
     def headline(self) -> str:
-        """The same, since when, and the part; without it the sentence, which says why."""
-        return headline(self.row) or str(self.row["sentence"])
+        """The same, since when, and the part; the sentence where it says more: a rise within the
+        day, no data, no change known.
+        """
+        is_present = not self.is_sudden and self.state not in (STALE, REMOVED)
+        return (headline(self.row) if is_present else "") or self.sentence
 
     @property
     def since(self) -> str:
