@@ -108,7 +108,7 @@ def test_a_log_that_touches_the_night_with_a_few_samples(rate_hz: int, n: int) -
     time = time[time < START + STEP]
     channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in FLEET}
     samples, quality = together(channels)
-    assert len(samples.index) == samples.n_grid == 0
+    assert len(samples.index) == samples.n_logged == 0
     assert samples.kept_share == 0.0
     assert all(one.n_refused == 0 for one in quality.values())
 
