@@ -49,6 +49,7 @@ from leakage.watch.state import (
     all_causes,
     change_in_force,
     is_contradicted,
+    mean_change,
     nights_beyond,
     on_first_baseline,
     present,
@@ -417,7 +418,7 @@ def _taken_for_granted(final: WatchState) -> WatchState:
         due=0,
         often=NOTHING,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
-        in_force=replace(now, attribution=None, prior=None),
+        in_force=replace(now, attribution=None, prior=None, settled=mean_change(final)),
     )
 
 
@@ -490,7 +491,7 @@ def at_rest(state: WatchState) -> WatchState:
         odd = state.window.days[state.window.odd > 1.0]
         is_over = not len(odd) or len(state.window) - state.place(odd[-1]) > QUIET_NIGHTS
     else:
-        is_over = present(state).holds_zero or probability_back(state) > choices.MOSTLY
+        is_over = mean_change(state).holds_zero or probability_back(state) > choices.MOSTLY
     return replace(state, in_force=None) if is_over else state
 
 

@@ -91,22 +91,36 @@ class Level:
     operating_error: Array
 
     def mean(self, nights: slice = EVERY) -> Estimate:
-        """Return the mean of nights: they share serial correlation and the errors of the model.
+        """Return the mean of nights: they share serial correlation and the errors of the model."""
+        return self._weighed(*self._weights(nights))
+
+    def difference(self, after: slice, before: slice) -> Estimate:
+        """Return the mean of some nights less that of others: errors common to both cancel."""
+        (later, noise), (earlier, noise_before) = self._weights(after), self._weights(before)
+        return self._weighed(later - earlier, noise + noise_before)
+
+    def _weights(self, nights: slice) -> tuple[Array, float]:
+        """Return the weight of each night in the mean of some, (n,), and its own variance.
 
         Nights weigh by 1 / (noise + shift + error of their operating conditions²): a night of
         another duty says less (model.md, 7c.2).
         """
-        value, noise, shift = self.value[nights], self.noise[nights], self.shift[nights]
+        noise, shift = self.noise[nights], self.shift[nights]
         of_paths = self.gain[nights, : len(self.operating_error)]
         by_operation = of_paths * self.beyond[nights][:, None] * self.operating_error
-        weights = 1.0 / (noise + shift + np.sum(by_operation**2, axis=1))
-        weights = weights / weights.sum()
-        length = float(self.wander.inflation(np.array([len(value)], dtype=float))[0])
-        of_others = weights @ self.gain[nights]
-        variance = float(weights**2 @ (noise + length * shift))
+        own = 1.0 / (noise + shift + np.sum(by_operation**2, axis=1))
+        own = own / own.sum()
+        length = float(self.wander.inflation(np.array([len(own)], dtype=float))[0])
+        weights = np.zeros(len(self.value))
+        weights[nights] = own
+        return weights, float(own**2 @ (noise + length * shift))
+
+    def _weighed(self, weights: Array, variance: float) -> Estimate:
+        of_others, p = weights @ self.gain, len(self.operating_error)
+        by_operation = (weights * self.beyond) @ self.gain[:, :p] * self.operating_error
         variance += float(of_others @ self.around.covariance @ of_others)
-        variance += float(np.sum((weights @ by_operation) ** 2))
-        return Estimate(float(weights @ value), math.sqrt(variance))
+        variance += float(np.sum(by_operation**2))
+        return Estimate(float(weights @ self.value), math.sqrt(variance))
 
 
 def all_causes(machine: Machine, baseline: Baseline, undone: Sequence[Cause] = ()) -> Causes:
@@ -126,6 +140,7 @@ class ChangeInForce:
     change of the leakage before it, against the first baseline. While it is not adopted,
     `attribution` is that by the nights so far and `prior` what was in force before. `circuit` is
     the change beside those of the circuit's other motors, as it settled; None without two of them.
+    `settled` is the change of the leakage as it was adopted.
     """
 
     change: Change
@@ -135,6 +150,7 @@ class ChangeInForce:
     attribution: Attribution | None = None
     prior: ChangeInForce | None = None
     circuit: CircuitChange | None = None
+    settled: Estimate | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,22 +356,35 @@ def nights_beyond(state: WatchState) -> int:
 
 
 def mean_change(state: WatchState) -> Estimate:
-    """Return the change that a state rests on: the present one, or the size of a first change.
+    """Return the change that a state rests on: the present one, or where that may be 0 a change.
 
-    While that settles, at usual operating conditions and with evidence beyond the limit, its size
-    is known better than the level of its few nights (model.md, 7c.2).
+    Of a first change that settles, its nights against those just before: what the model misses at
+    their operating conditions is common to both. Of an adopted one, as it settled, until the
+    present one is known well enough to contradict it.
     """
     now, in_force = present(state), state.in_force
-    if in_force is None or in_force.attribution is None or in_force.prior is not None:
+    if in_force is None or in_force.prior is not None or not now.holds_zero:
         return now
-    change, size = in_force.change, in_force.change.size
-    is_level = change.cause != TEMPERATURE_EFFECT and not change.is_several
-    is_alike = size.value * now.value > 0.0 and is_level
-    if size.holds_zero or not is_alike or not now.holds_zero:
+    change = in_force.settled
+    if in_force.attribution is not None and in_force.change.cause != TEMPERATURE_EFFECT:
+        change = _since_before(state, in_force.attribution.start)
+        if now.value * change.value <= 0.0 or state.evidence < state.settings.limit:
+            return now
+    if change is None or change.holds_zero or not now.lower <= change.value <= now.upper:
         return now
-    start = np.array([state.place(in_force.attribution.start)])
-    is_usual = state.evidence_now().operating_beyond(start)[0] == 0.0
-    return size if is_usual and state.evidence >= state.settings.limit else now
+    return change
+
+
+def _since_before(state: WatchState, start: int) -> Estimate:
+    """Return the change of the leakage from a day on, against ten nights before at most."""
+    along, of_leakage = direction(state)
+    place, most = state.place(start), choices.PRESENT_NIGHTS
+    after = slice(max(place, len(state.window) - most), None)
+    level = state.level_along(along)
+    change = level.difference(after, slice(max(0, place - most), place)).scaled(of_leakage)
+    return Estimate(
+        change.value, math.hypot(change.sd, change.value * state.baseline.leakage_share_error)
+    )
 
 
 def is_contradicted(state: WatchState) -> bool:
