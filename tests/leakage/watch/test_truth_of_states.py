@@ -204,3 +204,17 @@ def test_nights_alike_in_a_row_are_no_odd_nights(seed: int) -> None:
         odd = np.where(state.window.days % 3 == 0, 3.0, 0.0) * (state.window.days >= BEGIN)
         state = replace(state, window=replace(state.window, odd=odd))
         assert odd_nights_are_single(state) == is_odd
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_change_at_other_operating_conditions_stands(seed: int) -> None:
+    """7c.2: the nights before it share what the model misses at half of the load."""
+    plant = Plant(
+        growth=grown("all_gaps", 0.2, 45), load=lambda night: 0.5 if night >= BEGIN else 1.0
+    )
+    watches = watched(plant.nights(62, seed), first=FIRST)
+    changes = [watch.verdict() for watch in watches[47 - FIRST :]]
+    assert all(verdict.change is not None for verdict in changes)
+    assert not any(verdict.present.holds_zero for verdict in changes)
+    truth = of_flow([0.2, 0.2, 0.2, 0.0])
+    assert changes[-1].present.value == pytest.approx(truth, abs=0.04)
