@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, day, load, print_table
+from pipeline.cli.progress import progress_bar
 from pipeline.errors import UsageError
 from pipeline.messages import counted
 
@@ -164,7 +165,8 @@ def _proposed(source: Path, answers: dict[str, str], root: Path | None) -> Propo
 
     if root is not None and not source.resolve().is_relative_to(root):
         raise UsageError("source", f"--add takes logs below the fleet's folder of logs, {root}")
-    return propose(source, answers, root)
+    with progress_bar("logs") as draw:
+        return propose(source, answers, root, draw)
 
 
 def _answer(text: str) -> tuple[str, str]:

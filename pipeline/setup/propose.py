@@ -6,7 +6,7 @@ Nothing ambiguous is decided: it is a `Question`, whose answer is taken as it st
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -54,9 +54,15 @@ class Proposal:
     unneeded: tuple[str, ...] = ()  # answers to what is not asked now
 
 
-def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) -> Proposal:
+def propose(
+    source: Path,
+    answers: Mapping[str, str],
+    root: Path | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Proposal:
     """Propose a fleet from a log, or a folder of logs; patterns of files are below `root`.
 
+    `progress` is called with how many logs are done, and how many there are.
     Raises LogError if there is no log, or none can be read, and UsageError (``answer``) for an
     answer that cannot be.
     """
@@ -67,7 +73,7 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
         raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
     motors, faults = list[ProposedMotor](), list[str]()
-    asked, unread = Asked(answers), 0
+    asked, unread, n_done = Asked(answers), 0, 0
     errors: dict[Path, LogError] = {}
 
     @cache
@@ -89,6 +95,8 @@ def propose(source: Path, answers: Mapping[str, str], root: Path | None = None) 
     seen = Seen(columns_of, lambda path: _span(path, table_of(path)), asked.ask)
     for kind in kinds_of(files, root, seen):
         table = table_of(kind.files[-1])
+        n_done += len(kind.files)
+        progress(n_done, len(files))
         if table is None:
             error = errors[kind.files[-1]]
             faults.append(f"{error.code}: {error.message}")

@@ -93,7 +93,7 @@ def test_an_output_that_may_not_be_written_is_still_read(fleet: ScenarioFleet) -
         (line,) = done.err.splitlines()
         assert line.startswith("motor-leakage: store_write: ")
         assert "cannot be written: Permission denied" in line
-    assert "1 of 8 nights of a baseline" in run(fleet, "status").out
+    assert "1 of 8 nights of a baseline" in run(fleet, "status", "--long").out
     assert "log A/A_2026-01-02.parquet: ok" in run(fleet, "explain", "A", fleet.label(1)).out
 
 
@@ -105,11 +105,16 @@ def test_an_output_that_cannot_be_made_is_named(fleet: ScenarioFleet) -> None:
     assert (done.code, done.err) == (4, f"motor-leakage: store_write: {words}\n")
 
 
-@pytest.mark.parametrize("command", ["fit-fleet", "status", "report"])
-def test_an_output_that_may_not_be_read_is_named(fleet: ScenarioFleet, command: str) -> None:
+@pytest.mark.parametrize(
+    ("command", "error"),
+    [("fit-fleet", "store_write"), ("status", "store_read"), ("report", "store_read")],
+)
+def test_an_output_that_may_not_be_read_is_named(
+    fleet: ScenarioFleet, command: str, error: str
+) -> None:
     fleet.output.chmod(0)
     done = run(fleet, command)
     assert (done.code, done.out) == (4, "")
     (line,) = done.err.splitlines()
-    assert line.startswith(f"motor-leakage: store_read: {fleet.output}")
+    assert line.startswith(f"motor-leakage: {error}: {fleet.output}")
     assert line.endswith("cannot be read: Permission denied")

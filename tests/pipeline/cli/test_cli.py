@@ -132,11 +132,11 @@ def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> No
     assert fits["status"].to_list() == ["ok"] * 3
 
 
-def test_a_terminal_has_a_bar_of_nights(own_fleet: OwnFleet) -> None:
-    fleet = without_workers(own_fleet(PARQUET))
+def drawn_by(*arguments: str | Path) -> str:
+    """What a command writes to a terminal as its standard error."""
     main, terminal = pty.openpty()
     code = "import sys; from pipeline.cli import main; main()"
-    command = [sys.executable, "-c", code, "fit-fleet", str(fleet)]
+    command = [sys.executable, "-c", code, *map(str, arguments)]
     process = subprocess.Popen(command, stderr=terminal, stdout=subprocess.DEVNULL)
     os.close(terminal)
     drawn = b""
@@ -144,9 +144,23 @@ def test_a_terminal_has_a_bar_of_nights(own_fleet: OwnFleet) -> None:
         while read := os.read(main, 4096):
             drawn += read
     os.close(main)
-    assert process.wait(timeout=60) == 0
-    assert "nights" in (text := drawn.decode())
+    assert process.wait(timeout=60) in (0, 1)
+    return drawn.decode()
+
+
+def test_a_terminal_has_a_bar_of_nights(own_fleet: OwnFleet) -> None:
+    text = drawn_by("fit-fleet", without_workers(own_fleet(PARQUET)))
+    assert "nights" in text
     assert "3/3" in text
+
+
+def test_init_has_a_bar_of_logs(own_fleet: OwnFleet, tmp_path: Path) -> None:
+    fleet = own_fleet(PARQUET)
+    logs = fleet.parent.parent / "demo" / "logs" / PARQUET
+    n_logs = len(list(logs.iterdir()))
+    text = drawn_by("init", logs, "--to", tmp_path / "new", "--answer", "time_zone=UTC")
+    assert "logs" in text
+    assert f"{n_logs}/{n_logs}" in text
 
 
 def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
