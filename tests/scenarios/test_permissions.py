@@ -117,4 +117,4 @@ def test_an_output_that_may_not_be_read_is_named(
     assert (done.code, done.out) == (4, "")
     (line,) = done.err.splitlines()
     assert line.startswith(f"motor-leakage: {error}: {fleet.output}")
-    assert line.endswith("cannot be read: Permission denied")
+    assert "Permission denied" in line
