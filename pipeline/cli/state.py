@@ -82,7 +82,7 @@ def status(
         _print_json(found, too_old=too_old, is_silent=is_silent)
     else:
         _print_motors(found.motors, fleet.name, is_long=is_long)
-        for line in _fleet_lines(found, too_old=too_old, is_silent=is_silent):
+        for line in fleet_lines(found, too_old=too_old, is_silent=is_silent):
             say(line, err=not sys.stdout.isatty())
     is_late = too_old or (max_age is not None and is_silent)
     raise typer.Exit(EXIT_MOTORS_FAILED if is_late else EXIT_OK)
@@ -113,7 +113,7 @@ def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
     typer.echo(json.dumps(fleet, default=str))
 
 
-def _fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
+def fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
     """Yield lines below the motors: last run, deliveries, damage, intraday check."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"

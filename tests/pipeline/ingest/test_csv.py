@@ -200,7 +200,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
     "a header without end": (b"x" * (2**20 + 1), {}, "log_not_csv: line 1: the header is longer"),
     "a row without end": (
         f"{HEAD}{ROWS * 12_000}{DAY}0Z,{'1' * (5 * 2**20)},2\n{ROWS * 12_000}",
-        *({}, "log_damaged: told apart"),
+        *({}, "log_damaged: the rows are ambiguous"),
     ),
     "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: SQLite"),
     "nothing but zero bytes": (bytes(5000), {}, "log_damaged: zero bytes"),

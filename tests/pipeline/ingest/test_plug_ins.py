@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config import readers
+from pipeline.config import dialect
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
@@ -48,12 +48,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         info = site / f"{package.replace('-', '_')}-{version}.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Name: {package}\nVersion: {version}\n", "utf-8")
-        entry = f"[{readers.GROUP}]\n{package[:4]} = {module}:READER\n"
+        entry = f"[{dialect.GROUP}]\n{package[:4]} = {module}:READER\n"
         (info / "entry_points.txt").write_text(entry, "utf-8")
-        readers.installed.cache_clear()
+        dialect.installed.cache_clear()
 
     yield add
-    readers.installed.cache_clear()
+    dialect.installed.cache_clear()
 
 
 def test_a_format_that_nothing_reads_is_a_fault_with_those_that_there_are(install: Install) -> None:
@@ -77,7 +77,7 @@ def test_a_new_version_reads_its_logs_again(install: Install, tmp_path: Path) ->
     next(Path(sys.path[0]).glob("some-1.0.dist-info/METADATA")).write_text(
         "Name: some\nVersion: 1.1\n", "utf-8"
     )
-    readers.installed.cache_clear()
+    dialect.installed.cache_clear()
     assert reading_hash(spec) != before
 
 
