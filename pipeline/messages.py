@@ -40,7 +40,7 @@ def speak(*, as_json: bool) -> None:
     _attach()
 
 
-def speak_as_told() -> None:
+def speak_as_parent() -> None:
     """Take the form that the process chose that started this one; does nothing where it is set."""
     if not logging.getLogger().handlers:
         _attach()
@@ -97,5 +97,5 @@ def as_sentence(words: str) -> str:
 
 
 def statement(sentence: str, advice: str) -> str:
-    """What is told of a motor and what to do, as pages, mail and terminal say it."""
+    """What is reported of a motor and what to do, as pages, mail and terminal say it."""
     return " ".join(as_sentence(text) for text in (sentence, advice) if text)

@@ -188,9 +188,9 @@ def _alike(
 ) -> tuple[str, ...]:
     """Return causes that the nights cannot tell from the likeliest; empty where it stands alone.
 
-    Two causes i and j of the size s are told apart by ½ s² T₂ᵢ (1 − ρᵢⱼ²) of ln likelihood in the
+    Two causes i and j of the size s are distinct by ½ s² T₂ᵢ (1 − ρᵢⱼ²) of ln likelihood in the
     mean, ρ their correlation in W, or by what the nights themselves say. Pairs and all gaps are
-    their parts; a pair that is told from each of its parts stands alone.
+    their parts; a pair that is distinguished from each of its parts stands alone.
     """
     matrix = causes.directions.T @ change @ causes.directions
     second = np.maximum(np.diag(matrix), 1e-12)

@@ -17,7 +17,7 @@ LEAST_UNIT = 0.1
 # what motors do.
 PATH_PRIOR, TEMPERATURE_PRIOR, SURFACE_PRIOR, ZERO_PRIOR = 1.0, (0.2, 0.05), 0.03, 0.02
 # The same of the effect of temperature on each path alone, in 10 K: without it, a season of +12 K
-# was told as wear on machines whose parts do not follow the oil alike.
+# was reported as wear on machines whose parts do not follow the oil alike.
 PATH_TEMPERATURE_PRIOR = 0.05
 # Quantiles of the baseline's pressures and speeds at which the surface has its knots, and how near
 # to one another (share of the largest) they are merged.

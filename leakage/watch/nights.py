@@ -182,7 +182,7 @@ class Verdict:
     """What is known of a motor after a night."""
 
     day: int
-    # evidence, limit: ln R, and from where on it tells a change.
+    # evidence, limit: ln R, and from where on it shows a change.
     evidence: float
     limit: float
     lack_of_fit: float  # Root mean square share of the baseline's flow that the model misses.

@@ -1,7 +1,7 @@
 """The watch of a motor, night by night: pure, causal, and of fixed size however long the history.
 
 Shiryaev–Roberts over a mixture of starts, shapes and causes (an e-detector; Shin, Ramdas and
-Rinaldo 2022, arXiv 2203.03532): ln R beyond a limit tells a change. Ten nights later it is
+Rinaldo 2022, arXiv 2203.03532): ln R beyond a limit shows a change. Ten nights later it is
 adopted, and the watch goes on behind it.
 """
 

@@ -244,7 +244,7 @@ def ack(
     """
     from pipeline.report.status import last_alarm
     from pipeline.trends.nights.decisions import Decision, record_decision
-    from pipeline.trends.rows.motor_states import CHANGED, TOLD
+    from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED
 
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
@@ -267,7 +267,7 @@ def ack(
         said = f"opened on {decision.night}; "
         said += f"worn: {decision.worn or 'none'}; sound: {decision.sound or 'none'}"
     else:
-        night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else TOLD)
+        night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else ACTIONABLE)
         kind: Kind = "finding" if finding else "acknowledged"
         decision = Decision(motor, indicator, now(), kind, night, finding, note)
         said = f"{indicator}, raised last on {night}: {kind}"

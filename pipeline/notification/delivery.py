@@ -55,7 +55,7 @@ class Receiver(Protocol):
 def talk(
     to_server: Callable[[], None], words: Callable[[Exception], str], deadline_s: float
 ) -> None:
-    """Talk to a server within a deadline; what that raises is told in the words given.
+    """Talk to a server within a deadline; what that raises is reported in the words given.
 
     A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
     answer that comes byte by byte has a time limit of its own.
@@ -98,10 +98,10 @@ def filled(setting: str, text: str) -> str:
 
     def content(match: re.Match[str]) -> str:
         name = match[1]
-        found = os.environ.get(name, "")
-        if not HEADER_VALUE.fullmatch(found):
-            what = "holds characters that no header may have" if found else "is not set"
+        value = os.environ.get(name, "")
+        if not HEADER_VALUE.fullmatch(value):
+            what = "holds characters that no header may have" if value else "is not set"
             raise UndeliveredError(f"environment variable {name} of alarms.{setting} {what}")
-        return found
+        return value
 
     return VARIABLE.sub(content, text)

@@ -70,7 +70,7 @@ class Mail:
         place = mail_server(self.settings.server)
         assert place is not None, "the config has refused it"
         host, port = place[0], place[1] or PORTS[self.settings.security]
-        # Longer than the deadline, which decides: smtplib tells its own as a closed connection.
+        # Longer than the deadline, which decides: smtplib reports its own as a closed connection.
         timeout = 2 * self.deadline_s
         if self.settings.security == "tls":
             context = ssl.create_default_context()
@@ -81,8 +81,8 @@ class Mail:
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     """The message of a delivery; a repeated one has the same `Message-ID`."""
     document = json.loads(delivery.content)
-    said = _summary if document["type"] == SUMMARY else _changes
-    subject, paragraphs = said(document["changes"])
+    write = _summary if document["type"] == SUMMARY else _changes
+    subject, paragraphs = write(document["changes"])
     message = EmailMessage()
     message["Subject"] = one_line(f"{document['fleet']}: {subject}", LONGEST_SUBJECT)
     message["From"] = settings.sender
@@ -135,8 +135,8 @@ def _paragraph(name: str, course: Sequence[Row]) -> Paragraph:
     words = last.get("sentence") or last["reason"]
     sentences = as_sentence(words).replace(". ", ".\n").splitlines()
     figures = [f"Figures are of the night of {last['night']}."] if "night" in last else []
-    told = f"{name}: {states[0]}; before that {before}"
-    return last["motor_id"], [told, *sentences, *figures]
+    headline = f"{name}: {states[0]}; before that {before}"
+    return last["motor_id"], [headline, *sentences, *figures]
 
 
 def _words(error: Exception) -> str:

@@ -229,11 +229,11 @@ def _waiting(
     for _, together in groupby(there, key=lambda notice: notice[:2]):
         changes = [
             {
-                "change_id": f"{key}-{said}-{times}",
+                "change_id": f"{key}-{digest}-{times}",
                 "change": "changed" if times else "new",
                 **rows[key],
             }
-            for _, _, key, said, times in together
+            for _, _, key, digest, times in together
         ]
         for first in range(0, len(changes), MOST_CHANGES):
             yield changes[first : first + MOST_CHANGES]

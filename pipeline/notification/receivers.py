@@ -20,20 +20,20 @@ LAST_BYTES = 200
 
 def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
     """All that `[alarms]` names; none by default."""
-    found: list[Receiver] = []
+    receivers: list[Receiver] = []
     if settings.command:
-        found.append(Command(settings.command))
+        receivers.append(Command(settings.command))
     if settings.webhook_url:
         from pipeline.notification.web_hook import WebHook
 
-        found.append(
+        receivers.append(
             WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
         )
     if settings.email.to:
         from pipeline.notification.mail import Mail
 
-        found.append(Mail(settings.email))
-    return tuple(found)
+        receivers.append(Mail(settings.email))
+    return tuple(receivers)
 
 
 @dataclass(frozen=True, slots=True)

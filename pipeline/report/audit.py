@@ -47,15 +47,15 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
     if coefficient_names(motor) != row["coefficient_names"]:
         factors = with_free_known(factors, *scale_of(motor))
         motor = motor.with_free_standard()
-    found = _search(spec, motor, row, merge(factors))
+    outcome = _search(spec, motor, row, merge(factors))
     yield f"Audit, flushing {mode}"
-    if found.starts:
-        gap = "" if found.gap is None else f", the best {found.gap:+.1e}"
+    if outcome.starts:
+        gap = "" if outcome.gap is None else f", the best {outcome.gap:+.1e}"
         yield (
-            f"  search: {len(found.at_minimum)} of {len(found.starts)} starts end at the "
+            f"  search: {len(outcome.at_minimum)} of {len(outcome.starts)} starts end at the "
             f"proven minimum{gap}"
         )
-        yield from (f"  {line}" for line in _spreads(motor, found))
+        yield from (f"  {line}" for line in _spreads(motor, outcome))
     if row["fpe"] is not None and row["aicc"] is not None:
         yield (
             f"  FPE {row['fpe']:.4g} (l/min)², AIC {row['aic']:.1f}, AICc {row['aicc']:.1f}, "
@@ -71,11 +71,11 @@ def _search(spec: MotorSpec, motor: Motor, row: dict[str, Any], factor: Array) -
     return search(factor, motor, np.random.default_rng(seed))
 
 
-def _spreads(motor: Motor, found: Search) -> Iterator[str]:
+def _spreads(motor: Motor, outcome: Search) -> Iterator[str]:
     """Smallest and largest value of each parameter and coefficient over starts at the minimum."""
-    if not found.at_minimum:
+    if not outcome.at_minimum:
         return
-    finals = np.array([start.final for start in found.at_minimum])
+    finals = np.array([start.final for start in outcome.at_minimum])
     thetas = coefficients_at(motor, finals)
     named = [
         (parameter.name, parameter.unit, of)

@@ -126,7 +126,7 @@ class Folder:
                     path.parent.rmdir()
         with store_errors(self.path):
             # At the end: what the first ones wait for is true of the later ones as well.
-            for path in (*self.written, *{one.parent for one in self.written}):
+            for path in (*self.written, *{file.parent for file in self.written}):
                 flush_path(path)
         manifest = {"program": self.program, "files": self.files, "months": self.months}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
@@ -381,7 +381,7 @@ def _program_hash() -> str:
     """Hash of the program's own files: any of them may shape what pages say."""
     package = FOLDER.parent
     files = sorted(path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc")
-    found = hashlib.sha256("".join(map(version, ("jinja2", "plotly"))).encode())
+    digest = hashlib.sha256("".join(map(version, ("jinja2", "plotly"))).encode())
     for file in files:
-        found.update(file.read_bytes())
-    return found.hexdigest()[:16]
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]

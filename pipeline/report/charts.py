@@ -326,18 +326,18 @@ def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> 
     """A line in the look of a place; dash and mark differ too, to be distinguished in grey."""
     dashes = ("solid", "dash", "dot", "dashdot", "longdash")
     symbols = ("circle", "square", "diamond", "triangle-up", "x")
-    colour, dash, symbol = (one[place % len(one)] for one in (COLOURS, dashes, symbols))
+    colour, dash, symbol = (looks[place % len(looks)] for looks in (COLOURS, dashes, symbols))
     return Line(name, value, colour, lower, upper, dash, symbol)
 
 
 def _shown(panels: Iterable[Panel | None]) -> tuple[Panel, ...]:
     """The panels that have a line with a value, with these lines alone."""
-    found = []
+    filled = []
     for panel in panels:
         known = [line for line in panel.lines if np.isfinite(line.value).any()] if panel else []
         if panel and known:
-            found.append(replace(panel, lines=tuple(known)))
-    return tuple(found)
+            filled.append(replace(panel, lines=tuple(known)))
+    return tuple(filled)
 
 
 def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:

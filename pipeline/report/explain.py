@@ -63,7 +63,9 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
             "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
         )
     (_, headline), *others = paragraphs(rows)
-    lines = [line for title, of in others for line in ("", title, *(f"  {one}" for one in of))]
+    lines = [
+        line for title, texts in others for line in ("", title, *(f"  {text}" for text in texts))
+    ]
     return [*headline, *lines]
 
 
@@ -77,19 +79,19 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
     if own["status"] != OK:
         # Without a baseline it would but repeat why there is no fit.
         known = list(_state(own)) if own["evidence_limit"] is not None else []
-        found = [("", [_headline(own, None)]), ("State", known), ("Data", data)]
-        return [one for one in found if one[1]]
+        parts = [("", [_headline(own, None)]), ("State", known), ("Data", data)]
+        return [part for part in parts if part[1]]
     fits = rows["fits"]
     fit = next(row for row in fits if row["is_primary"])
     parameters, effects, tests, predictions = (
         [row for row in rows[table.name] if row["flushing_mode"] == fit["flushing_mode"]]
         for table in (PARAMETERS, ERROR_BUDGET, RESIDUAL_TESTS, PREDICTIONS)
     )
-    kept = (
+    samples = (
         f"kept {own['kept_percent']:.0f} % of the running motor's samples; "
         f"{fit['n_training']} train, {fit['n_validation']} validate"
     )
-    found = [
+    parts = [
         ("", [_headline(own, fit)]),
         ("Leakage", list(_leakages(own, fit))),
         ("State", list(_state(own))),
@@ -97,9 +99,9 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
         ("Systematic errors", list(_budget(fit, effects))),
         ("Fit", list(_fit(own, fit, fits))),
         ("Errors of the fit", [*explain_residuals(fit, tests), *_warm_up(predictions)]),
-        ("Data", [kept, *data]),
+        ("Data", [samples, *data]),
     ]
-    return [one for one in found if one[1]]
+    return [part for part in parts if part[1]]
 
 
 def _headline(own: Row, fit: Row | None) -> str:
@@ -111,24 +113,24 @@ def _headline(own: Row, fit: Row | None) -> str:
     return f"{motor_id}, night of {night}: {own['status']}{failure}: {own['reason']}"
 
 
-def _files(rows: list[Row], told: str | None) -> Iterator[str]:
+def _files(rows: list[Row], reason: str | None) -> Iterator[str]:
     for row in rows:
         # What failed the night stands in the headline.
-        said = f"; {row['message']}" if row["message"] not in (None, told) else ""
+        message = f"; {row['message']}" if row["message"] not in (None, reason) else ""
         size = "" if row["rows"] is None else f", {counted(row['rows'], 'row')}"
-        yield f"log {row['path']}: {row['status']}{size}{said}"
+        yield f"log {row['path']}: {row['status']}{size}{message}"
 
 
 def _refusals(rows: list[Row]) -> Iterator[str]:
     """A line for each channel, the rule that refused most first."""
-    told = [
+    notable = [
         row
         for row in rows
         if row["reason"] not in ("any", "incomplete")
         and row["n_refused"] > LEAST_REFUSED * max(row["n_samples"], 1)
     ]
     of_channel: dict[str, list[str]] = {}
-    for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
+    for row in sorted(notable, key=lambda row: -row["n_refused"] / row["n_samples"]):
         share = 100 * row["n_refused"] / row["n_samples"]
         words = f"{refusal(row['reason'])} {share:.1f} %"
         of_channel.setdefault(row["channel"], []).append(words)
@@ -208,7 +210,7 @@ def _leakages(own: Row, fit: Row) -> Iterator[str]:
 def _conditions(row: Row, kind: str) -> str:
     """Conditions of a leakage; `kind` is how their columns begin."""
     return conditions(
-        *(row[f"{kind}_{one}"] for one in ("pressure_bar", "temperature_c", "speed_rpm"))
+        *(row[f"{kind}_{quantity}"] for quantity in ("pressure_bar", "temperature_c", "speed_rpm"))
     )
 
 

@@ -97,8 +97,8 @@ def overlay(fleet: Fleet, motors: Sequence[MotorHistory]) -> dict[str, Any]:
 
 def _changes(motor: MotorHistory, nights: Sequence[dt.date]) -> list[float | None]:
     known = dict(motor.rows.select("night", "leakage_change_percent").iter_rows())
-    found = (known.get(night) for night in nights)
-    return [None if change is None else round(change, 1) for change in found]
+    changes = (known.get(night) for night in nights)
+    return [None if change is None else round(change, 1) for change in changes]
 
 
 def sparkline(motor: MotorHistory, span: Span) -> str:
@@ -111,9 +111,9 @@ def sparkline(motor: MotorHistory, span: Span) -> str:
     if not len(known):
         return ""
     value = leakage[known]
-    first, newest = (np.datetime64(one) for one in span)
+    first, newest = (np.datetime64(edge) for edge in span)
     days = (motor.stamps[known] - first).astype(float)
-    kept = keep_extremes([value], POINTS)
+    places = keep_extremes([value], POINTS)
     median = float(np.median(value))
     reach = max(float(np.abs(value - median).max()), LEAST_REACH * abs(median), 1e-9)
 
@@ -122,16 +122,16 @@ def sparkline(motor: MotorHistory, span: Span) -> str:
         return HEIGHT / 2 - inside * (HEIGHT / 2 - MARGIN)
 
     length = max(float((newest - first).astype(float)), 1.0)
-    x = MARGIN + days[kept] / length * (WIDTH - 2 * MARGIN)
-    y = height(value[kept])
+    x = MARGIN + days[places] / length * (WIDTH - 2 * MARGIN)
+    y = height(value[places])
     longest = max(LONGEST_GAP, 3 * length / POINTS)
-    letters = np.where(np.diff(days[kept], prepend=-np.inf) > longest, "M", "L")
+    letters = np.where(np.diff(days[places], prepend=-np.inf) > longest, "M", "L")
     level = motor.level[np.isfinite(motor.level)]
     line = "".join(f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True))
     baseline = f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else ""
-    said = f"Leakage {figure(value.min())} to {figure(value.max())} l/min"
+    text = f"Leakage {figure(value.min())} to {figure(value.max())} l/min"
     return (
-        f'<svg class="sparkline" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{said}">'
+        f'<svg class="sparkline" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{text}">'
         f'<path class="level" d="{baseline}"/><path d="{line}"/>'
         f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="2.2"/></svg>'
     )

@@ -46,7 +46,7 @@ def figure(chart: Chart) -> Payload:
     if not chart.panels:
         return {}
     heads = [_head(panel) for panel in chart.panels]
-    above = [LETTER_HEIGHT * (one.count("<br>") + 1) + BELOW for one in heads]
+    above = [LETTER_HEIGHT * (title.count("<br>") + 1) + BELOW for title in heads]
     heights = [top + panel.height for top, panel in zip(above, chart.panels, strict=True)]
     whole = sum(heights)
     traces: list[Payload] = []
@@ -68,7 +68,7 @@ def figure(chart: Chart) -> Payload:
             layout["yaxis9"] = right | ticks | {"tickformat": ".3~g"}
             # Plotly shows an axis only with a trace.
             traces.append({"yaxis": "y9", "y": [None] * len(chart.time), "hoverinfo": "skip"})
-        layout["shapes"] += [_upright(one, axis) for one in chart.marks]
+        layout["shapes"] += [_upright(mark, axis) for mark in chart.marks]
         layout["shapes"] += [
             {"type": "rect", "layer": "below", "x0": str(first), "x1": str(last)}
             | {"yref": f"{axis} domain", "y0": 0, "y1": 1, "fillcolor": "#8a949e"}
@@ -227,9 +227,9 @@ def _ranges(chart: Chart) -> dict[str, list[str]]:
     begins = {str(n): last - np.timedelta64(n, "D") for n in RANGES}
     begins = {name: begin for name, begin in begins.items() if begin > first} | {"all": first}
     ahead = np.timedelta64(round(1440 * min(chart.ahead, 1e5)), "m")
-    found = {}
+    ranges = {}
     for name, begin in begins.items():
         beyond = max((last - begin) // 50, np.timedelta64(1, "m"))
         end = last + max(beyond, min(ahead, (last - begin) * MOST_AHEAD))
-        found[name] = [str(begin - beyond), str(end)]
-    return found
+        ranges[name] = [str(begin - beyond), str(end)]
+    return ranges

@@ -72,8 +72,8 @@ def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     Raises StoreError if a table is damaged.
     """
     intraday = intraday_statuses(output, motor_ids)
-    found = published_states(output, motor_ids)
-    return [replace(one, intraday=intraday.get(one.motor_id)) for one in found]
+    states = published_states(output, motor_ids)
+    return [replace(state, intraday=intraday.get(state.motor_id)) for state in states]
 
 
 def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
@@ -113,7 +113,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
 
 def _proposed_delays(output: Path, settings: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """Yield delays of drain flows on which the newest nights agree, other than the one in use."""
-    decided = {name: one[DRAIN_DELAY] for name, one in settings.items() if DRAIN_DELAY in one}
+    decided = {name: own[DRAIN_DELAY] for name, own in settings.items() if DRAIN_DELAY in own}
     columns = ("motor_id", "night", *LAG_COLUMNS)
     fits = read_rows(output, FITS, sorted(decided), columns).drop_nulls().unique(columns[:2])
     for (motor_id,), rows in fits.sort(columns[:2]).group_by("motor_id", maintain_order=True):

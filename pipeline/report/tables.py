@@ -94,9 +94,9 @@ class MotorHistory:
     def course(self, indicator: str) -> Course:
         """An indicator of the nights that count."""
         rows = self.trends[indicator].filter(pl.col("reason").is_null())
-        found = self.rows.select("night").join(rows, on="night", how="left", maintain_order="left")
+        trend = self.rows.select("night").join(rows, on="night", how="left", maintain_order="left")
         value, lower, upper = (
-            found[name].cast(pl.Float64).to_numpy() for name in ("value", "lower", "upper")
+            trend[name].cast(pl.Float64).to_numpy() for name in ("value", "lower", "upper")
         )
         return value, lower, upper
 

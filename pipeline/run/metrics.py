@@ -57,22 +57,22 @@ def metrics_text(
     """Return the metrics in Prometheus's text format, each with the label `fleet`."""
     families: dict[tuple[str, str], list[Sample]] = {
         ("motor_state", "1 for the state of a motor, 0 for the others"): [
-            ({"motor": one.motor_id, "state": state}, float(one.state == state))
-            for one in states
+            ({"motor": motor.motor_id, "state": state}, float(motor.state == state))
+            for motor in states
             for state in ORDER
         ],
         **{
             (name, MEANING[name]): [
-                ({"motor": one.motor_id}, one.row[name])
-                for one in states
-                if one.row[name] is not None
+                ({"motor": motor.motor_id}, motor.row[name])
+                for motor in states
+                if motor.row[name] is not None
             ]
             for name in FIGURES
         },
         ("data_timestamp_seconds", "Newest sample of a motor"): [
-            ({"motor": one.motor_id}, one.row["last_sample"].timestamp())
-            for one in states
-            if one.row["last_sample"] is not None
+            ({"motor": motor.motor_id}, motor.row["last_sample"].timestamp())
+            for motor in states
+            if motor.row["last_sample"] is not None
         ],
         ("standing_failures", "Nights and logs of a motor that failed and are as they were"): [
             ({"motor": outcome.motor_id}, float(outcome.n_standing)) for outcome in outcomes
@@ -126,10 +126,10 @@ def _family(name: str, words: str, fleet: str, samples: Iterable[Sample]) -> Ite
     yield f"# HELP {name} {words}."
     yield f"# TYPE {name} gauge"
     for labels, value in samples:
-        told = ",".join(
+        pairs = ",".join(
             f'{key}="{_escaped(text)}"' for key, text in {"fleet": fleet, **labels}.items()
         )
-        yield f"{name}{{{told}}} {value!r}"
+        yield f"{name}{{{pairs}}} {value!r}"
 
 
 def _escaped(text: str) -> str:

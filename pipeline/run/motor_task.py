@@ -22,7 +22,7 @@ from pipeline.errors import StoreError
 from pipeline.logs.files import labels_of, reaches_us, slice_night
 from pipeline.logs.finding import legible
 from pipeline.logs.processed import GONE, FileRecord, NightRecord
-from pipeline.messages import speak_as_told
+from pipeline.messages import speak_as_parent
 from pipeline.night.column_change import (
     COLUMNS,
     USUAL_NIGHTS,
@@ -57,7 +57,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
 
     Raises MemoryError if there is not enough memory for what all its nights need.
     """
-    speak_as_told()
+    speak_as_parent()
     with one_thread():
         try:
             return MotorRun(task).run()
@@ -339,6 +339,6 @@ class MotorRun(NightPlan):
                     moved[place].add(name)
         for label, names in sorted(moved.items()):
             published = read_rows(self.task.output, LOG_FILES, [self.spec.motor_id], nights=[label])
-            kept = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
-            rows[label] += kept.to_dicts()
+            others = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
+            rows[label] += others.to_dicts()
         return {label: rows[label] for label in sorted({*staged, *moved})}

@@ -1,4 +1,4 @@
-"""Motors over workers, each a task; those of which nothing is new are told without any."""
+"""Motors over workers, each a task; those of which nothing is new are reported without any."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def unchanged_motors(
         known = {name: before[name] for name, file in seen.items() if file.is_as(before.get(name))}
         if not seen or len(known) < len(seen):
             continue
-        with suppress(Exception, PanicException):  # which the motor's task tells
+        with suppress(Exception, PanicException):  # which the motor's task reports
             nights = NightPlan(replace(task, processed=processed, log_records=known))
             if nights.is_quiet:
                 yield nights.outcome()

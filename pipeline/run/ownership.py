@@ -55,8 +55,8 @@ def claim_output(state: State, fleet: Fleet) -> None:
 
 def newest_run(output: Path) -> str:
     """Return start of the newest run in the tables; empty without one that can be read."""
-    found = _newest(output).get("started_at")
-    return found.isoformat() if found else ""
+    start = _newest(output).get("started_at")
+    return start.isoformat() if start else ""
 
 
 def _newest(output: Path) -> dict[str, Any]:

@@ -32,45 +32,45 @@ class NightsCompared:
     motor_id: str
     before: tuple[dt.date, ...]
     after: tuple[dt.date, ...]
-    found: Comparison
+    comparison: Comparison
 
     @property
     def record(self) -> dict[str, object]:
         """It as plain data, for programs."""
-        found = self.found
+        comparison = self.comparison
         return {
             "motor_id": self.motor_id,
             "before": [str(night) for night in self.before],
             "after": [str(night) for night in self.after],
-            "change": found.change.value,
-            "change_lower": found.change.lower,
-            "change_upper": found.change.upper,
-            "probability": found.probability,
-            "cause": found.cause,
-            "cause_probability": found.cause_probability,
-            "candidates": dict(found.candidates),
-            "lack_of_fit": found.lack_of_fit,
-            "is_other_duty": found.operates_otherwise,
+            "change": comparison.change.value,
+            "change_lower": comparison.change.lower,
+            "change_upper": comparison.change.upper,
+            "probability": comparison.probability,
+            "cause": comparison.cause,
+            "cause_probability": comparison.cause_probability,
+            "candidates": dict(comparison.candidates),
+            "lack_of_fit": comparison.lack_of_fit,
+            "is_other_duty": comparison.operates_otherwise,
         }
 
     @property
     def lines(self) -> list[str]:
         """What is reported of it."""
-        found = self.found
+        comparison = self.comparison
         lines = [
             f"{self.motor_id}: {_nights(self.after)} against {_nights(self.before)}",
-            f"case drain flow at the same conditions {relative_change(found.change)}; "
-            f"probability of a change {percent(found.probability)}",
+            f"case drain flow at the same conditions {relative_change(comparison.change)}; "
+            f"probability of a change {percent(comparison.probability)}",
         ]
-        if found.probability > EVEN:
-            likeliest = sorted(found.candidates.items(), key=lambda item: -item[1])
+        if comparison.probability > EVEN:
+            likeliest = sorted(comparison.candidates.items(), key=lambda item: -item[1])
             causes = [
                 f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]
             ]
             lines.append(f"cause: {', '.join(causes)}")
-        if found.operates_otherwise:
+        if comparison.operates_otherwise:
             lines.append("load or speed are others than before: the interval is wider by that")
-        return [*lines, f"the model misses {100 * found.lack_of_fit:.1f} % of the flow before"]
+        return [*lines, f"the model misses {100 * comparison.lack_of_fit:.1f} % of the flow before"]
 
 
 def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> NightsCompared:
@@ -97,10 +97,10 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
     before, after = (read_blocks(output, spec, watch_columns, some) for some in (earlier, later))
     try:
         machine = watch_columns.machine(spec, min(earlier, default=at))
-        found = compare(machine, before, after, watch_settings(spec))
+        comparison = compare(machine, before, after, watch_settings(spec))
     except EstimationError as error:
         raise UsageError("compare_nights", f"{spec.motor_id}, {at}: {error.message}") from None
-    return NightsCompared(spec.motor_id, _labels(before), _labels(after), found)
+    return NightsCompared(spec.motor_id, _labels(before), _labels(after), comparison)
 
 
 def _labels(nights: Sequence[NightBlocks]) -> tuple[dt.date, ...]:

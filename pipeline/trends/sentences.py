@@ -70,13 +70,13 @@ ADVICE = {
 CHECK_ZERO = "Check the sensor whose zero has moved."
 # Causes that are no part of the motor.
 OF_OIL_AND_SENSORS = {"all_flows", "oil_grade", "temperature_sensor", "temperature_effect", "zero"}
-# Causes of the case drain flow that are no leakage; between causes that cannot be told apart.
+# Causes of the case drain flow that are no leakage; between causes that cannot be distinguished.
 NO_LEAKAGE, ONE_OF = ("flushing", "zero"), " or "
-# Candidates that are told, and from which probability on beside a named cause.
-MOST_CANDIDATES, LEAST_TOLD = 3, 0.05
+# Candidates that are reported, and from which probability on beside a named cause.
+MOST_CANDIDATES, LEAST_REPORTED = 3, 0.05
 # Statuses of a time to a limit that have dates.
 DATED = ("finite", "not_before", "beyond_horizon")
-# Days ahead up to which a date is told to the day, not to the month.
+# Days ahead up to which a date is given to the day, not to the month.
 TO_THE_DAY = 60
 MONTHS = (
     *("January", "February", "March", "April", "May", "June"),
@@ -145,8 +145,8 @@ def _date_ahead(night: dt.date, days: float) -> str:
 def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
     """Return a motor's sentence of a night: what, how much, since when, what else it could be.
 
-    `quiet_since`: since when no change has been told, None without a baseline; `drifts`: zeros of
-    sensors that have moved, in words.
+    `quiet_since`: since when no change has been reported, None without a baseline; `drifts`: zeros
+    of sensors that have moved, in words.
     """
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
@@ -233,12 +233,13 @@ def _to_identify(night: NightState, change: Change) -> str:
 
 
 def _limit_words(night: NightState) -> str:
-    limits, found = night.spec.motor_type.limits, night.reference
+    limits, leakage = night.spec.motor_type.limits, night.reference
     limit = limits.alarm_l_per_min if night.state == "alarm" else limits.warning_l_per_min
-    assert found is not None
+    assert leakage is not None
     return (
-        f"leakage at the reference conditions {found.value:.3g} l/min "
-        f"[{found.lower:.3g}, {found.upper:.3g}], beyond the motor type's limit of {limit:g} l/min"
+        f"leakage at the reference conditions {leakage.value:.3g} l/min "
+        f"[{leakage.lower:.3g}, {leakage.upper:.3g}], beyond the motor type's limit of "
+        f"{limit:g} l/min"
     )
 
 
@@ -271,7 +272,7 @@ def _changed(night: NightState, change: Change) -> str:
         what = f"leakage has {{risen}} through one or more of: {_one_of(change.cause)}"
     grade = f" (ISO VG {change.grade})" if change.grade else ""
     risen = "risen" if change.is_rise else "fallen"
-    told = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
+    headline = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
     size = _newest_night(night)
     verdict = night.verdict
@@ -284,7 +285,7 @@ def _changed(night: NightState, change: Change) -> str:
     goes_on = f"; still {'rising' if change.is_rise else 'falling'}"
     goes_on = goes_on if change.goes_on and is_shown else ""
     parts = (
-        *(f"{told}: {size}, {_since(change)}{goes_on}", gap),
+        *(f"{headline}: {size}, {_since(change)}{goes_on}", gap),
         *(_beside_circuit(night, change), _others(change)),
     )
     return "; ".join(part for part in parts if part)
@@ -310,7 +311,7 @@ def _others(change: Change) -> str:
     left = [
         f"{cause_words(name)} {percent(p)}"
         for name, p in several
-        if name != change.cause and p >= LEAST_TOLD
+        if name != change.cause and p >= LEAST_REPORTED
     ]
     else_ = f", else {', '.join(left[:MOST_CANDIDATES])}" if left else ""
     return f"probability {percent(change.probability)}{else_}"
@@ -378,14 +379,15 @@ def in_percent(value: float, lower: float, upper: float) -> str:
 
 def _since(change: Change) -> str:
     first, low, high = (
-        dt.date.fromordinal(one) for one in (change.since, change.since_lower, change.since_upper)
+        dt.date.fromordinal(ordinal)
+        for ordinal in (change.since, change.since_lower, change.since_upper)
     )
     between = "" if low == high else f" ({day(low)} to {day(high)})"
     return f"since {day(first)}{between}"
 
 
 def cause_words(name: str) -> str:
-    """Return a cause for people, or causes that cannot be told apart.
+    """Return a cause for people, or causes that cannot be distinguished.
 
     Examples
     --------
@@ -400,7 +402,7 @@ def _one_of(label: str) -> str:
 
 
 def is_of_parts(label: str) -> bool:
-    """Return True if a cause, or all that cannot be told apart, are parts of the motor."""
+    """Return True if a cause, or all that cannot be distinguished, are parts of the motor."""
     return all(name not in CAUSES and name not in WHAT for name in label.split(ONE_OF))
 
 

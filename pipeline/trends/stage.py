@@ -35,7 +35,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     with one_thread():
         done = TrendOutcome(failures=dict(task.given_up))
         try:
-            nights = read_nights(task.output, [_wanted(task, one) for one in task.circuits])
+            nights = read_nights(task.output, [_wanted(task, circuit) for circuit in task.circuits])
         except StoreError as error:
             ids = (spec.motor_id for spec in task.specs)
             return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))

@@ -62,12 +62,12 @@ class Circuit:
     ) -> Circuit:
         """A circuit with its motors as their fits are published, and what is remembered of them."""
         specs = [as_published(spec, settings.get(spec.motor_id)) for spec in specs]
-        said = decisions_of(specs, decisions)
+        own_decisions = decisions_of(specs, decisions)
         return cls(
             tuple(specs),
-            said,
+            own_decisions,
             {spec.motor_id: records.get(spec.motor_id) for spec in specs},
-            {spec.motor_id: trend_hash(spec, said[spec.motor_id]) for spec in specs},
+            {spec.motor_id: trend_hash(spec, own_decisions[spec.motor_id]) for spec in specs},
         )
 
     def spans(
@@ -130,7 +130,7 @@ class NewestNight:
 def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
     """Return newest night, be its row published or not; None where no motor has kept a sample.
 
-    A night that only an unreadable log tells, or that lies in the future, after `latest`, is not
+    A night known of an unreadable log only, or that lies in the future, after `latest`, is not
     in the newest night: it would make every other motor silent since."""
     further: dict[str, dt.date] = {}
     columns = ("motor_id", "status", "last_sample")
@@ -214,11 +214,11 @@ def trend_tasks(
     stays, _ = read_stays(state, records.keys())
     batches: list[list[Circuit]] = [[]]
     for group in circuits_of(specs):
-        if not any(one.motor_id in changed_from for one in group):
+        if not any(spec.motor_id in changed_from for spec in group):
             continue
         circuit = Circuit.of(group, decisions, records, settings)
         if any(first for first, _ in circuit.spans(changed_from, newest_night).values()):
-            if sum(len(one.specs) for one in batches[-1]) >= motors_a_task:
+            if sum(len(other.specs) for other in batches[-1]) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)
     for batch in filter(None, batches):
@@ -243,7 +243,7 @@ def checkpoint_file(staging: Path, motor_id: str) -> Path:
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
     """Return the outcome of a task that was lost as a whole."""
     ids = (spec.motor_id for spec in task.specs)
-    return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
+    return TrendOutcome(failures={motor_id: task.given_up.get(motor_id, loss) for motor_id in ids})
 
 
 def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:

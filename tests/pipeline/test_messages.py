@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
+from pipeline.messages import FORM, JsonLine, error_line, speak_as_parent
 from tests.pipeline.calling import Call, python
 
 
@@ -51,7 +51,7 @@ def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["", "json"])
 def test_a_worker_speaks_as_it_is_told(form: str) -> None:
     code = (
-        "import logging; from pipeline.messages import speak_as_told as told; told(); told();"
+        "import logging; from pipeline.messages import speak_as_parent as speak; speak(); speak();"
         "logging.getLogger('pipeline.x').warning('careful')"
     )
     done = python(code, env=os.environ | {FORM: form})
@@ -64,5 +64,5 @@ def test_a_worker_speaks_as_it_is_told(form: str) -> None:
 def test_a_program_that_logs_already_keeps_its_way() -> None:
     before = list(logging.getLogger().handlers)
     assert before, "pytest has put its own there"
-    speak_as_told()
+    speak_as_parent()
     assert logging.getLogger().handlers == before

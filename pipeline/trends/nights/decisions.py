@@ -124,4 +124,8 @@ def _read(state: State) -> tuple[Decision, ...]:
         )
         for motor, of, time, kind, night, *more in state.rows(f"SELECT {columns} FROM decisions")
     )
-    return tuple(sorted(decisions, key=lambda said: (said.time, said.motor_id, said.indicator)))
+    return tuple(
+        sorted(
+            decisions, key=lambda decision: (decision.time, decision.motor_id, decision.indicator)
+        )
+    )

@@ -188,8 +188,8 @@ def read_blocks(
     """Blocks of some of a motor's nights, in order of time, without those that do not count."""
     rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
-    found = (_night_blocks(watch_columns, watch_columns.blocks(spec, part)) for part in parts)
-    return [one for one in found if one is not None]
+    blocks = (_night_blocks(watch_columns, watch_columns.blocks(spec, part)) for part in parts)
+    return [night for night in blocks if night is not None]
 
 
 def _read_rows(output: Path, motors: Mapping[str, PublishedNights]) -> None:
@@ -231,10 +231,10 @@ def _rows_since(
 
 def _by_night(first: Mapping[str, dt.date]) -> dict[dt.date, list[str]]:
     """Return motors by night."""
-    found: dict[dt.date, list[str]] = {}
+    motors: dict[dt.date, list[str]] = {}
     for motor_id, night in first.items():
-        found.setdefault(night, []).append(motor_id)
-    return found
+        motors.setdefault(night, []).append(motor_id)
+    return motors
 
 
 def _history(motor: PublishedNights) -> History:
@@ -274,7 +274,7 @@ def _beginning(motor: PublishedNights, first: dt.date) -> tuple[dt.date, bool]:
 
 
 def _add_blocks(output: Path, motors: Mapping[str, PublishedNights]) -> None:
-    """Read the blocks of the nights that the watches are to be told, some nights at a time."""
+    """Read the blocks of the nights that the watches are to take, some nights at a time."""
     needed = {name: motor.blocks_from for name, motor in motors.items()}
     for begin, some in _by_night(needed).items():
         nights = {night for name in some for night in motors[name].history.nights if night >= begin}
@@ -294,15 +294,15 @@ def _take(motor: PublishedNights, night: dt.date, rows: pl.DataFrame) -> None:
         return
     history.records["model"][place] = rows["model_hash"][0]
     stored = history.watch_columns.blocks(history.spec, rows)
-    found = _night_blocks(history.watch_columns, stored)
-    if stored is None or found is None:
+    blocks = _night_blocks(history.watch_columns, stored)
+    if stored is None or blocks is None:
         motor.excluded[night] = OTHER_KIND
         return
     history.records["charge"][place] = _or_nan(stored.charge_bar)
     history.records["viscosity"][place] = _or_nan(stored.viscosity_ratio)
-    history.records["blocks"][place] = len(found.flow)
-    motor.blocks[found.day] = found
-    motor.factors[found.day] = merge(stored.factors)
+    history.records["blocks"][place] = len(blocks.flow)
+    motor.blocks[blocks.day] = blocks
+    motor.factors[blocks.day] = merge(stored.factors)
 
 
 def _or_nan(value: float | None) -> float:
@@ -313,6 +313,6 @@ def _night_blocks(watch_columns: WatchColumns, stored: StoredBlocks | None) -> N
     """Return blocks of a night as the watch takes them; None where they do not count."""
     if stored is None or stored.rows["model_hash"].n_unique() != 1:
         return None
-    found = watch_columns.night_blocks(stored)
-    is_finite = np.isfinite(found.drives).all() and np.isfinite(found.flow).all()
-    return found if is_finite else None
+    blocks = watch_columns.night_blocks(stored)
+    is_finite = np.isfinite(blocks.drives).all() and np.isfinite(blocks.flow).all()
+    return blocks if is_finite else None

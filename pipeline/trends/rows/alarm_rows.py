@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.schema import ALARM_CONTENT
 from pipeline.trends.nights.decisions import LEAKAGE, SENSORS
-from pipeline.trends.rows.motor_states import CHANGED, TOLD
+from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED
 
 Row = dict[str, Any]
 
@@ -84,7 +84,7 @@ def _words(night: Row, before: str, raised: Row | None) -> str:
         words = f"{WHY_OK.get(before, 'back where it was')}: {words}"
     if raised is not None and raised["to_state"] != night["state"]:
         words += f"; before its data changed: {str(raised['sentence']).removesuffix('.')}"
-    is_order = night["state"] in TOLD and night["advice"]
+    is_order = night["state"] in ACTIONABLE and night["advice"]
     return f"{words}. {night['advice']}" if is_order else words
 
 

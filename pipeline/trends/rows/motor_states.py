@@ -33,7 +33,7 @@ FITS_OF_A_NIGHT = {
     "previous_model_fit_percent": "previous night's model",
 }
 # States that ask for something.
-TOLD = (*CHANGED, STALE, REMOVED)
+ACTIONABLE = (*CHANGED, STALE, REMOVED)
 # States of the intraday check: a sudden rise, and none.
 RISEN, CLEAR = "risen", "clear"
 
@@ -140,18 +140,18 @@ class MotorState:
     def why(self) -> str:
         """The sentence with its notes, and an acknowledgement."""
         words = "; ".join((self.sentence, *self.notes))
-        said = self.row["acknowledged"]
-        return f"{words} (acknowledged: {said})" if said else words
+        acknowledgement = self.row["acknowledged"]
+        return f"{words} (acknowledged: {acknowledgement})" if acknowledgement else words
 
     @property
     def needs_attention(self) -> bool:
         """The state asks for something, or the last night failed."""
-        return self.is_sudden or self.state in TOLD or bool(self.failure)
+        return self.is_sudden or self.state in ACTIONABLE or bool(self.failure)
 
     @property
     def needs_acknowledgement(self) -> bool:
         """A change of state is in force that a person may acknowledge."""
-        return self.state in TOLD
+        return self.state in ACTIONABLE
 
     @property
     def is_sudden(self) -> bool:
@@ -181,7 +181,7 @@ def urgency(motor: MotorState) -> tuple[int, float, str]:
 
 def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
     """Return a row of `latest` with the last acknowledgement since its state began."""
-    said = [
+    acknowledgements = [
         decision.note or decision.kind
         for decision in decisions
         if row["state_since"] is not None
@@ -190,7 +190,7 @@ def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
         and decision.kind in ("acknowledged", "finding")
         and decision.night >= row["state_since"]
     ]
-    return row | {"acknowledged": said[-1]} if said else row
+    return row | {"acknowledged": acknowledgements[-1]} if acknowledgements else row
 
 
 def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()) -> list[Row]:

@@ -1,4 +1,4 @@
-"""All rows of a motor's trends, made night by night as its watch is told them."""
+"""All rows of a motor's trends, made night by night as its watch takes them."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, p
 from pipeline.trends.nights.published_nights import PublishedNights, read_blocks
 from pipeline.trends.states.night_state import NightState, with_state
 
-# A leakage is told at conditions as far beyond those of the baseline period's blocks [°C, bar,
+# A leakage is estimated at conditions as far beyond those of the baseline period's blocks [°C, bar,
 # rpm].
 REACH = np.array([10.0, 20.0, 10.0])
 OUT_OF_REACH = "the era's blocks do not reach these conditions"
@@ -57,7 +57,7 @@ class Baseline:
         temperature, pressure, speed = np.median(every, axis=0).tolist()
         known = charges[np.isfinite(charges)]
         charge = float(np.median(known)) if len(known) else None
-        first, last = (dt.date.fromordinal(one.day) for one in (nights[0], nights[-1]))
+        first, last = (dt.date.fromordinal(night.day) for night in (nights[0], nights[-1]))
         own = Conditions(pressure, temperature, speed, charge)
         theta = watch.state.baseline.columns.theta
         return cls(first, last, len(nights), own, tuple(theta.tolist()))
@@ -69,7 +69,7 @@ STORED_BASELINE = TypeAdapter(Baseline)
 
 @dataclass(slots=True)
 class Course:
-    """A motor's nights, as far as its watch has been told them.
+    """A motor's nights, as far as its watch has taken them.
 
     `figures` are those of `WATCHED` by place, shape (n, 2).
     """
@@ -111,12 +111,12 @@ class Course:
 
     @property
     def nights_to_come(self) -> tuple[dt.date, ...]:
-        """Nights that the watch is to be told."""
+        """Nights that the watch is to take."""
         return self.nights.history.nights[self.place :]
 
     @property
     def night(self) -> dt.date | None:
-        """The night that the watch was told last; None before the first."""
+        """The night that the watch took last; None before the first."""
         return self.nights.history.nights[self.place - 1] if self.place else None
 
     @property
@@ -192,10 +192,11 @@ class Course:
             for night, n in zip(history.nights, history.records["blocks"].tolist(), strict=True)
             if n and day <= night.toordinal() < begin
         ]
-        found = (
+        blocks = (
             read_blocks(self.output, self.spec, history.watch_columns, earlier) if earlier else []
         )
-        return found + [known[one] for one in sorted(known) if max(day, begin) <= one <= until]
+        later = (ordinal for ordinal in sorted(known) if max(day, begin) <= ordinal <= until)
+        return blocks + [known[ordinal] for ordinal in later]
 
     def know_circuit(self, others: Sequence[Watch]) -> None:
         """Tell the watch what the other motors of the circuit did since its own change."""

@@ -80,8 +80,8 @@ class NightState:
     @property
     def reference(self) -> Estimate | None:
         """Leakage at the reference conditions, until there is a watch by the night's own fit."""
-        found = self.reference_leakage
-        return self.fitted if isinstance(found, str) else found
+        leakage = self.reference_leakage
+        return self.fitted if isinstance(leakage, str) else leakage
 
     @property
     def circuit(self) -> CircuitChange | None:
@@ -189,8 +189,8 @@ def _state(night: NightState) -> tuple[str, str]:
     if night.silent > alarms.stale_after_nights:
         return "stale", "stale"
     for state, limit in (("alarm", limits.alarm_l_per_min), ("warning", limits.warning_l_per_min)):
-        found = night.reference
-        if limit is not None and found is not None and found.probability_above(limit) >= SURE:
+        leakage = night.reference
+        if limit is not None and leakage is not None and leakage.probability_above(limit) >= SURE:
             return state, "limit"
     if verdict is None:
         return "insufficient", "baseline"

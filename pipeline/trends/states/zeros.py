@@ -98,37 +98,37 @@ def _zero(history: History, name: str) -> Zero:
     periods = periods_of(history, name)
     for period in periods if np.isfinite(value).any() else ():
         here = slice(period.first, period.end)
-        found = zero_course(
+        course = zero_course(
             value[here],
             np.nan_to_num(error[here]),
             tolerance(history.spec, name),
         )
-        first[here], move[here] = found.zero - found.change, found.change
-        low[here], high[here] = found.change_lower, found.change_upper
-        told = _held(found.drifts, np.isfinite(value[here]))
-        known = np.isfinite(found.change)
-        state[here] = np.where(known, np.where(told, "warning", "ok"), "insufficient")
+        first[here], move[here] = course.zero - course.change, course.change
+        low[here], high[here] = course.change_lower, course.change_upper
+        reported = _held(course.drifts, np.isfinite(value[here]))
+        known = np.isfinite(course.change)
+        state[here] = np.where(known, np.where(reported, "warning", "ok"), "insufficient")
     return Zero(
         name, UNITS[name], value, error, first, move, low, high, tuple(state.tolist()), periods
     )
 
 
 def _held(drifts: NDArray[np.bool_], halted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Nights in which a drift is told: some with a halt in a row begin and end it, others hold."""
-    told = np.zeros(len(drifts), dtype=np.bool_)
+    """Nights with a drift reported: some with a halt in a row begin and end it, others hold."""
+    reported = np.zeros(len(drifts), dtype=np.bool_)
     is_on, in_a_row = False, 0
     for place in range(len(drifts)):
         if halted[place]:
             in_a_row = in_a_row + 1 if drifts[place] != is_on else 0
             if in_a_row == (OFF_NIGHTS if is_on else ON_NIGHTS):
                 is_on, in_a_row = not is_on, 0
-        told[place] = is_on
-    return told
+        reported[place] = is_on
+    return reported
 
 
 def tolerance(spec: MotorSpec, name: str) -> float:
     """Return permitted move of a zero: the config's offset tolerance, at least `LEAST_MOVE`."""
     names = PRESSURES if name == PRESSURE_ZERO else ("leakage_flow",)
-    declared = [spec.file.channels[one] for one in names if one in spec.file.channels]
-    stated = float(np.hypot.reduce([one.offset_tolerance for one in declared]))
-    return max(stated, LEAST_MOVE[name], *(one.resolution for one in declared))
+    declared = [spec.file.channels[column] for column in names if column in spec.file.channels]
+    stated = float(np.hypot.reduce([channel.offset_tolerance for channel in declared]))
+    return max(stated, LEAST_MOVE[name], *(channel.resolution for channel in declared))

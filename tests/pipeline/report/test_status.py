@@ -18,7 +18,7 @@ from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, RUNS, frame
 from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.motor_states import CHANGED, ORDER, TOLD, IntradayStatus, urgency
+from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED, ORDER, IntradayStatus, urgency
 from tests.pipeline.calling import Call
 from tests.pipeline.report.states import night_of, output, state_of
 from tests.pipeline.written import publisher_of, write_nights
@@ -95,10 +95,10 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
     )
     stale = row | {"night": night_of(5), "to_state": "stale", "id": "M1 later leakage"}
     write_nights(output, ALARMS, frame(ALARMS, [stale]))
-    assert last_alarm(output, "M1", "leakage", TOLD) == night_of(5)
+    assert last_alarm(output, "M1", "leakage", ACTIONABLE) == night_of(5)
     assert last_alarm(output, "M1", "leakage", CHANGED) == night_of(4)
     with pytest.raises(UsageError, match="alarms so far: none"):
-        last_alarm(output, "M2", "leakage", TOLD)
+        last_alarm(output, "M2", "leakage", ACTIONABLE)
 
 
 @pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
