@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from leakage.watch import Machine, NightBlocks, Watch
-from leakage.watch.adoption import in_force_of, odd_nights_are_single
+from leakage.watch.adoption import in_force_of
 from leakage.watch.attribution import attribute
 from leakage.watch.events import across_event
+from leakage.watch.odd_nights import odd_nights_are_single
 from leakage.watch.state import nights_beyond
 from tests.leakage.watch.made_machine import (
     CB560,
