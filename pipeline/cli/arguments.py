@@ -61,10 +61,10 @@ def past_day(text: str) -> dt.date:
 
 def duration(text: str) -> dt.timedelta:
     """Return a time span such as 30s, 10min, 26h or 2d."""
-    found = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
-    if found is None or not float(found[1]):
+    match = re.fullmatch(rf"(\d{{1,6}}(?:\.\d+)?)({'|'.join(UNITS)})", text)
+    if match is None or not float(match[1]):
         raise typer.BadParameter(f"got {text!r}; expected such as 30s, 10min, 26h or 2d")
-    return dt.timedelta(**{UNITS[found[2]]: float(found[1])})
+    return dt.timedelta(**{UNITS[match[2]]: float(match[1])})
 
 
 ConfigFile = Annotated[

@@ -59,7 +59,7 @@ def check(
     readings are at fault, the folder of the metrics is missing, or a file of the output is damaged;
     2: a fault in the config.
     """
-    from pipeline.logs.finding import strays_told, unclaimed
+    from pipeline.logs.finding import strays_text, unclaimed
     from pipeline.logs.processed import paired_as_published, read_stays
     from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
@@ -88,7 +88,7 @@ def check(
     for line in standing(fleet.output, [spec.motor_id for spec in fleet.motors]):
         tell({"event": "standing", "words": line}, line, as_json=as_json)
     if strays := unclaimed(fleet):
-        tell({"event": "unclaimed", "logs": strays}, strays_told(strays), as_json=as_json)
+        tell({"event": "unclaimed", "logs": strays}, strays_text(strays), as_json=as_json)
     faults = list(_fleet_faults(fleet, checks))
     for fault in faults:
         line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)

@@ -65,8 +65,8 @@ def look(
                 say(f"{error.code}: {error}; the next check tries again", err=True)
             due = max(due + pause_s, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0.0))
-        found = _check(fleet, wanted, as_json=as_json)
-    raise typer.Exit(EXIT_MOTORS_FAILED if any(check.fault for check in found) else EXIT_OK)
+        checks = _check(fleet, wanted, as_json=as_json)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(check.fault for check in checks) else EXIT_OK)
 
 
 def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[MotorCheck]:
@@ -74,8 +74,8 @@ def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[Mo
     from pipeline.intraday.check import check_fleet
     from pipeline.intraday.rows import NOT_JUDGED
 
-    found = check_fleet(fleet, wanted)
-    for check in found:
+    checks = check_fleet(fleet, wanted)
+    for check in checks:
         event = {"event": "look", **asdict(check), "rows": check.rows}
         lines = [
             f"{row['time']:%Y-%m-%d %H:%M} {check.motor_id}: {row['to_state']}: {row['reason']}"
@@ -87,11 +87,11 @@ def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[Mo
             lines = [f"{check.motor_id}: not judged: {check.reason}"]
         tell(event, "\n".join(lines), as_json=as_json)
     if not as_json:
-        states = Counter(check.state.replace("_", " ") for check in found)
+        states = Counter(check.state.replace("_", " ") for check in checks)
         counts = ", ".join(f"{n} {state}" for state, n in sorted(states.items()))
-        say(f"{counted(len(found), 'motor')} checked: {counts}")
-    _measure(fleet, found)
-    return found
+        say(f"{counted(len(checks), 'motor')} checked: {counts}")
+    _measure(fleet, checks)
+    return checks
 
 
 def _require_files(fleet: Fleet) -> None:

@@ -148,10 +148,12 @@ def prune(
     existing_tables(fleet.output)
     named = tables.replace(",", " ").split()
     require_prunable(named)
-    kept = dict.fromkeys(named, keep)
+    keep_by_table = dict.fromkeys(named, keep)
     with read_state_file(fleet.output) as state:
         newest_night = newest_of_fleet(fleet, state, now())
-    old = old_files(fleet.output, kept, None if newest_night is None else newest_night.night)
+    old = old_files(
+        fleet.output, keep_by_table, None if newest_night is None else newest_night.night
+    )
     if yes and old:
         with locked(fleet.output), open_state(fleet.output) as state:
             remove(state, old)

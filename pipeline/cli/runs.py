@@ -94,7 +94,7 @@ def fit_fleet(
     3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
-        from pipeline.logs.finding import strays_told, unclaimed
+        from pipeline.logs.finding import strays_text, unclaimed
         from pipeline.run.fleet import RunRequest
         from pipeline.setup.first_look import FirstLook
 
@@ -113,7 +113,7 @@ def fit_fleet(
         if dry_run:
             print_plan(request, as_json=as_json)
             return
-        if not as_json and (strays := strays_told(unclaimed(fleet))):
+        if not as_json and (strays := strays_text(unclaimed(fleet))):
             say(strays, err=True)
         _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
@@ -198,13 +198,13 @@ def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> 
     try:
         fleet = load(config, None, None)
         fleet = paired_as_published(fleet, fleet.output)
-        found, prepared = fit_periods(fleet, motor, train, validate)
+        result, prepared = fit_periods(fleet, motor, train, validate)
     except LeakageError as error:
         say(f"{motor}: {error.code}: {error}", err=True)
         raise typer.Exit(EXIT_MOTORS_FAILED) from None
     for note in prepared.notes:
         typer.echo(note)
-    typer.echo(str(found.summary()))
+    typer.echo(str(result.summary()))
 
 
 def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:

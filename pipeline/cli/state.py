@@ -73,16 +73,16 @@ def status(
     fleet = load(config, output, None, logs=False)
     receivers = receivers_of(fleet.settings.alarms)
     motor_ids = [spec.motor_id for spec in fleet.motors]
-    found = fleet_status(fleet.output, motor_ids, receivers)
-    ended = found.last_good_run
+    fleet_state = fleet_status(fleet.output, motor_ids, receivers)
+    ended = fleet_state.last_good_run
     too_old = max_age is not None and (ended is None or now() - ended > max_age)
-    newest = found.newest_sample
+    newest = fleet_state.newest_sample
     is_silent = fleet.is_live and newest is not None and now() - newest > fleet.stale_after
     if as_json:
-        _print_json(found, too_old=too_old, is_silent=is_silent)
+        _print_json(fleet_state, too_old=too_old, is_silent=is_silent)
     else:
-        _print_motors(found.motors, fleet.name, is_long=is_long)
-        for line in fleet_lines(found, too_old=too_old, is_silent=is_silent):
+        _print_motors(fleet_state.motors, fleet.name, is_long=is_long)
+        for line in fleet_lines(fleet_state, too_old=too_old, is_silent=is_silent):
             say(line, err=not sys.stdout.isatty())
     is_late = too_old or (max_age is not None and is_silent)
     raise typer.Exit(EXIT_MOTORS_FAILED if is_late else EXIT_OK)
@@ -96,40 +96,42 @@ def _print_motors(motors: Sequence[MotorState], name: str, *, is_long: bool) -> 
     print_table(columns, rows, name if is_long else "", styles, is_dense=not is_long)
 
 
-def _print_json(found: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
-    for motor in found.motors:
+def _print_json(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> None:
+    for motor in fleet_state.motors:
         intraday = None if motor.intraday is None else asdict(motor.intraday)
         typer.echo(json.dumps({"event": "motor", **motor.row, "intraday": intraday}, default=str))
     fleet = {
         "event": "fleet",
-        "last_good_run": found.last_good_run,
+        "last_good_run": fleet_state.last_good_run,
         "too_old": too_old,
         "silent": is_silent,
-        "standing": found.standing,
-        "run": None if found.beat is None else asdict(found.beat),
-        "receivers": [asdict(receiver) for receiver in found.receivers],
-        "damage": [asdict(fault) for fault in found.damage],
+        "standing": fleet_state.standing,
+        "run": None if fleet_state.beat is None else asdict(fleet_state.beat),
+        "receivers": [asdict(receiver) for receiver in fleet_state.receivers],
+        "damage": [asdict(fault) for fault in fleet_state.damage],
     }
     typer.echo(json.dumps(fleet, default=str))
 
 
-def fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
+def fleet_lines(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
     """Yield lines below the motors: last run, deliveries, damage, intraday check."""
-    ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
+    ended = (
+        f"{fleet_state.last_good_run:%Y-%m-%d %H:%M} UTC" if fleet_state.last_good_run else "never"
+    )
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
-    if (newest := found.newest_sample) is not None:
+    if (newest := fleet_state.newest_sample) is not None:
         days = (now() - newest).days
         ago = f", {days} days ago" if days > 1 else ""
         silent = ": the plant is silent" if is_silent else ""
         yield f"newest samples: {newest:%Y-%m-%d %H:%M} UTC{ago}{silent}"
-    if (line := _run_line(found)) is not None:
+    if (line := _run_line(fleet_state)) is not None:
         yield line
-    yield from found.standing
-    yield from (receiver.words for receiver in found.receivers if receiver.undelivered)
-    if found.damage:
-        first, files = found.damage[0], counted(len(found.damage), "published file")
+    yield from fleet_state.standing
+    yield from (receiver.words for receiver in fleet_state.receivers if receiver.undelivered)
+    if fleet_state.damage:
+        first, files = fleet_state.damage[0], counted(len(fleet_state.damage), "published file")
         yield f"damaged or missing: {files}, such as {first.path}: {first.code}"
-    checks = [motor.intraday for motor in found.motors if motor.intraday is not None]
+    checks = [motor.intraday for motor in fleet_state.motors if motor.intraday is not None]
     if checks:
         risen, confirmed, withdrawn = (
             sum(getattr(check, name) for check in checks)
@@ -138,11 +140,11 @@ def fleet_lines(found: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterat
         yield f"intraday rises: reported {risen}, confirmed {confirmed}, withdrawn {withdrawn}"
 
 
-def _run_line(found: FleetStatus) -> str | None:
+def _run_line(fleet_state: FleetStatus) -> str | None:
     """Return line on a run that is under way, or that did not end."""
     from pipeline.store.heartbeat import FINISHED, RUNNING
 
-    beat = found.beat
+    beat = fleet_state.beat
     if beat is None or beat.state == FINISHED:
         return None
     done = f"{beat.n_motors_done} of {beat.n_motors} motors done"
@@ -196,8 +198,8 @@ def compare(
     from pipeline.trends.comparing import compare_nights
 
     fleet = load(config, output, None, logs=False)
-    found = compare_nights(fleet.output, fleet.motor(motor), at, nights)
-    tell(found.record, "\n".join(found.lines), as_json=as_json)
+    comparison = compare_nights(fleet.output, fleet.motor(motor), at, nights)
+    tell(comparison.record, "\n".join(comparison.lines), as_json=as_json)
 
 
 def ack(
@@ -264,15 +266,15 @@ def ack(
             message = "expected --opened with --worn or --sound, and no --finding"
             raise UsageError("finding", message)
         decision = _opened(motor, opened, parts, note)
-        said = f"opened on {decision.night}; "
-        said += f"worn: {decision.worn or 'none'}; sound: {decision.sound or 'none'}"
+        text = f"opened on {decision.night}; "
+        text += f"worn: {decision.worn or 'none'}; sound: {decision.sound or 'none'}"
     else:
         night = last_alarm(fleet.output, motor, indicator, CHANGED if finding else ACTIONABLE)
         kind: Kind = "finding" if finding else "acknowledged"
         decision = Decision(motor, indicator, now(), kind, night, finding, note)
-        said = f"{indicator}, raised last on {night}: {kind}"
+        text = f"{indicator}, raised last on {night}: {kind}"
     record_decision(fleet.output, decision)
-    typer.echo(f"{motor}: {said}")
+    typer.echo(f"{motor}: {text}")
 
 
 def _failed_night(

@@ -89,8 +89,8 @@ def raw_channel(
     """
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
-    told = bad is not None and bool(bad[readings.unparsed].all())
-    if unparsed and readings.missing.all() and not told:
+    is_marked = bad is not None and bool(bad[readings.unparsed].all())
+    if unparsed and readings.missing.all() and not is_marked:
         raise LogError(
             "log_type",
             path,
@@ -215,7 +215,7 @@ class Gathered:
 
         A column is given up with its last channel, so that a long log is not held twice.
         """
-        found: dict[str, RawChannel] = {}
+        raw_channels: dict[str, RawChannel] = {}
         states = {key: marks.taken() for key, marks in self._states.items()}
         for column in list(self._readings):
             readings = self._readings.pop(column).taken()
@@ -225,8 +225,8 @@ class Gathered:
                     marks = states.get((channel.quality_source, channel.quality_good))
                     own = None if marks is None else marks[rows]
                     some = readings.rows(rows)
-                    found[name] = raw_channel(self.path, name, channel, time_us, some, own)
-        return {name: found[name] for name in self.channels}
+                    raw_channels[name] = raw_channel(self.path, name, channel, time_us, some, own)
+        return {name: raw_channels[name] for name in self.channels}
 
 
 def judged(
@@ -296,8 +296,8 @@ def without_rows_of_others(
     --------
     >>> def channel(*value):
     ...     return RawChannel(np.arange(4), np.array(value), np.isnan(value), 0)
-    >>> one, other = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
-    >>> apart = without_rows_of_others({"a": one, "b": other}, {"a": "x", "b": "y"})
+    >>> left, right = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
+    >>> apart = without_rows_of_others({"a": left, "b": right}, {"a": "x", "b": "y"})
     >>> apart["a"].time_us.tolist(), apart["b"].time_us.tolist()
     ([0, 2], [1, 3])
     """
@@ -306,12 +306,12 @@ def without_rows_of_others(
         return dict(channels)
     apart: dict[str, RawChannel] = {}
     for name, channel in channels.items():
-        told = ~channel.missing
+        filled = ~channel.missing
         others = (missing for column, missing in by_column.items() if column != columns[name])
-        alone = reduce(np.logical_and, others, told)
+        alone = reduce(np.logical_and, others, filled)
         # What a row says of a reading's quality counts though the reading is blank.
-        rows = told if channel.bad_quality is None else told | channel.bad_quality
-        stands_alone = 2 * np.count_nonzero(alone) > np.count_nonzero(told)
+        rows = filled if channel.bad_quality is None else filled | channel.bad_quality
+        stands_alone = 2 * np.count_nonzero(alone) > np.count_nonzero(filled)
         apart[name] = _frozen(channel.rows(rows)) if stands_alone else channel
     return apart
 
@@ -333,10 +333,10 @@ def raw_log(
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
-    found = ends(parts)
-    if found is None:
+    bounds = ends(parts)
+    if bounds is None:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
-    return found
+    return bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,18 +375,18 @@ def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
     stamps, refused = judged(file.path, parts, "microseconds since 1970", file.latest_us)
     channels: dict[str, RawChannel] = {}
     for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):
-        own, kept = samples[name], stamp.readable
+        own, readable = samples[name], stamp.readable
         none = np.zeros(own.value.size, np.bool_)
         missing = none if own.missing is None else own.missing
-        readings = Readings(np.where(missing, np.nan, own.value), missing, none).rows(kept)
+        readings = Readings(np.where(missing, np.nan, own.value), missing, none).rows(readable)
         states = None
         if channel.quality_source:
             if own.quality is None:
                 how = f"the format has no quality {channel.quality_source!r}: remove quality_source"
                 raise LogError("log_reader", file.path, how, channel.quality_source)
             cells, good = pa.array(own.quality), channel.quality_good
-            states = quality_states(file.path, channel.quality_source, cells, good)[kept]
-        time_us = stamp.time_us[kept]
+            states = quality_states(file.path, channel.quality_source, cells, good)[readable]
+        time_us = stamp.time_us[readable]
         channels[name] = raw_channel(file.path, name, channel, time_us, readings, states)
-    rows = sum(one.time_us.size for one in channels.values())
+    rows = sum(raw.time_us.size for raw in channels.values())
     return raw_log(channels, rows, refused)

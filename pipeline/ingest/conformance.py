@@ -78,7 +78,7 @@ class Format:
     names_channels
         A log without samples says which channels it has.
     has_whole_rows
-        What stands before the place where a file was cut can be told to be whole.
+        What stands before the place where a file was cut can be known to be whole.
     keys
         Other keys of ``[logs]``.
     survives_damage
@@ -188,9 +188,9 @@ def scale_offset_and_unit_make_the_canonical_reading(form: Format, folder: Path)
         "oil_temperature": Channel(source="T", unit="degF"),
         "leakage_flow": Channel(source="q", unit="m3/s", scale=10.0),
     }
-    found = form.read(folder, rows, channels).channels
+    raw_channels = form.read(folder, rows, channels).channels
     for name, value in zip(channels, (0.12, 200.0, 50.0, np.inf), strict=True):
-        np.testing.assert_allclose(found[name].value, [value], rtol=1e-6)
+        np.testing.assert_allclose(raw_channels[name].value, [value], rtol=1e-6)
     wanted_only: Channels = {"pressure_difference": CHANNELS["pressure_difference"]}
     assert form.read(folder, many_rows(), wanted_only).rows == 200
 

@@ -219,15 +219,15 @@ def validate(log: object, channels: Iterable[str], latest_us: int = LATEST_US) -
         raise ValueError(f"gave the channels {given or 'none'} where {asked} were asked for")
     for name, channel in log.channels.items():
         _require_arrays(name, channel)
-    counts = {f"unparsed of {name}": one.unparsed for name, one in log.channels.items()}
+    counts = {f"unparsed of {name}": raw.unparsed for name, raw in log.channels.items()}
     for name, count in {"rows": log.rows, **counts}.items():
         if type(count) is not int or count < 0:
             raise ValueError(f"gave {name} as {count!r}, not as a count")
     if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
         raise ValueError(f"gave notes as {log.notes!r}, not as a tuple of lines")
-    found = log.ends()
-    if found is not None:
-        require_possible(*found, latest_us)
+    bounds = log.ends()
+    if bounds is not None:
+        require_possible(*bounds, latest_us)
     return log
 
 

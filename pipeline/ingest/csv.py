@@ -168,20 +168,20 @@ class _Rows:
         types = self._types()
         texts = dict.fromkeys(types, pa.string())
         try:
-            found = self._parsed(types, data, start)
+            outcome = self._parsed(types, data, start)
         except pa.ArrowInvalid:
-            found = None
+            outcome = None
         # A header would be no number, and is no other text than any.
-        if found is None or found[1].count or types == texts:
+        if outcome is None or outcome[1].count or types == texts:
             rows = self._without_headers(data, start)
-            if found is None or rows is not data:
+            if outcome is None or rows is not data:
                 data = rows
                 try:
-                    found = self._parsed(texts, data, start)
+                    outcome = self._parsed(texts, data, start)
                 except pa.ArrowInvalid as error:
                     how = f"the rows are ambiguous: {error}"
                     raise LogError("log_damaged", self.path, how) from error
-        table, ragged = found
+        table, ragged = outcome
         if ragged.swallowed:
             raise LogError("log_damaged", self.path, f"{_OPEN_QUOTE}: {ragged.swallowed!r}")
         self.ragged += ragged.count

@@ -62,8 +62,8 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
     path, logs = file.path, file.logs
     table = RawTable(file, columns, partial(_stamps, file), lambda _, cells: readings_of(cells))
-    with opened(path) as found:
-        places = {name: _place(path, found.schema_arrow, name) for name in columns.all}
+    with opened(path) as opened_file:
+        places = {name: _place(path, opened_file.schema_arrow, name) for name in columns.all}
         for name in columns.numbers:
             kind = places[name].kind
             if not (is_number(kind) or pa.types.is_null(kind)):
@@ -77,9 +77,9 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
         if columns.name is not None and not is_text(places[columns.name].kind):
             how = f"column {columns.name!r} holds no names of channels"
             raise LogError("log_type", path, how, columns.name)
-        texts = [name for name in text_paths(found.schema_arrow) if name in places]
-    with opened(path, texts) as found:
-        for batch in _batches(path, found, list(places)):
+        texts = [name for name in text_paths(opened_file.schema_arrow) if name in places]
+    with opened(path, texts) as opened_file:
+        for batch in _batches(path, opened_file, list(places)):
             parts = {name: _within(path, batch, place) for name, place in places.items()}
             table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
     return table
@@ -201,15 +201,15 @@ def _places(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator
 def _place(path: Path, schema: pa.Schema, name: str) -> _Place:
     """Place of a column by its name, or within others by its path."""
     paths = [(".".join(place.names), place) for place in _places(schema)]
-    found = [place for own, place in paths if own == name]
-    if len(found) > 1:
-        how = f"{len(found)} columns are called {name!r}: rename one"
+    matches = [place for own, place in paths if own == name]
+    if len(matches) > 1:
+        how = f"{len(matches)} columns are called {name!r}: rename one"
         raise LogError("log_column_twice", path, how)
-    if not found:
+    if not matches:
         leaves = [own for own, place in paths if not pa.types.is_struct(place.kind)]
         there = ", ".join(map(repr, leaves[:40]))
         raise LogError("log_column_missing", path, f"no column {name!r}; there are {there}")
-    return found[0]
+    return matches[0]
 
 
 def text_paths(schema: pa.Schema) -> list[str]:

@@ -69,7 +69,7 @@ def _with_constants(log: RawLog, channels: Channels) -> RawLog:
         return log
     flow = log.channels[COUNTED]
     every = dict(log.channels)
-    every |= {name: _constant(name, one, flow) for name, one in stated.items()}
+    every |= {name: _constant(name, channel, flow) for name, channel in stated.items()}
     return replace(log, channels={name: every[name] for name in CHANNELS if name in every})
 
 

@@ -74,7 +74,9 @@ def _channels_of(file: LogFile) -> Channels:
     """The channels that a file may hold; of a file a channel those that its name is of."""
     if file.logs.layout != "file_per_channel":
         return file.channels
-    here = {name: one for name, one in file.channels.items() if is_of_file(one, file.path)}
+    here = {
+        name: channel for name, channel in file.channels.items() if is_of_file(channel, file.path)
+    }
     if not here:
         patterns = ", ".join(repr(channel.source) for channel in file.channels.values())
         raise LogError(
@@ -115,7 +117,7 @@ class RawTable:
         self._stamps_of, self._readings_of = stamps_of, readings_of
         own = _channels_of(file) if columns.numbers else {}
         self._rows = Gathered(
-            file.path, own, {name: _column_of(file, one) for name, one in own.items()}
+            file.path, own, {name: _column_of(file, channel) for name, channel in own.items()}
         )
         # Of rows in layout "long": the number of the wanted name, -1 for others.
         self._names = Growing(np.int16)
@@ -187,8 +189,10 @@ class RawTable:
             channels = self._rows.channels_at(places)
             count = sum(part.time_us.size for part in channels.values())
             return raw_log(channels, count, refused, remarks)
-        kept = chosen_rows(stamps.readable)
-        here = self._rows.channels_at(dict.fromkeys(file.channels, (kept, stamps.time_us[kept])))
+        readable = chosen_rows(stamps.readable)
+        here = self._rows.channels_at(
+            dict.fromkeys(file.channels, (readable, stamps.time_us[readable]))
+        )
         channels = {name: here.get(name, no_samples()) for name in file.channels}
         if logs.layout == "wide":
             channels = without_rows_of_others(channels, self._rows.columns)

@@ -131,10 +131,10 @@ def _from_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
         return WrittenStamps(time_us, np.where(is_whole, exact.kind, stamps.kind))
     if ",%f" in time_format:
         cells = cells.str.replace_all(",", ".", literal=True)
-    found = parsed(cells, time_format)
+    times = parsed(cells, time_format)
     kind = WITH_ZONE if "%z" in time_format else _LOCAL
-    time_us = found.to_physical().fill_null(0).to_numpy()
-    return WrittenStamps(time_us, _kinds(found.is_not_null().to_numpy(), kind))
+    time_us = times.to_physical().fill_null(0).to_numpy()
+    return WrittenStamps(time_us, _kinds(times.is_not_null().to_numpy(), kind))
 
 
 def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
@@ -173,11 +173,11 @@ def _from_epoch(numbers: Numbers, time_format: str) -> WrittenStamps:
     earliest, latest = (us * units_a_us // per_unit for us in (EARLIEST_US, LATEST_US))
     compared = np.asarray(numbers, np.float64) if numbers.dtype.kind == "f" else numbers
     readable = (compared >= earliest) & (compared < latest)
-    kept = numbers if readable.all() else np.where(readable, numbers, 0)
-    if kept.dtype.kind == "f":
-        time_us = np.rint(kept * per_unit) if not thousandth else np.floor(kept / 1000)
+    counts = numbers if readable.all() else np.where(readable, numbers, 0)
+    if counts.dtype.kind == "f":
+        time_us = np.rint(counts * per_unit) if not thousandth else np.floor(counts / 1000)
     else:
-        time_us = kept // 1000 if thousandth else kept.astype(np.int64) * per_unit
+        time_us = counts // 1000 if thousandth else counts.astype(np.int64) * per_unit
     return WrittenStamps(time_us.astype(np.int64), _kinds(readable, WITH_ZONE))
 
 

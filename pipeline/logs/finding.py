@@ -157,7 +157,7 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
     )
 
 
-def strays_told(strays: Sequence[str]) -> str:
+def strays_text(strays: Sequence[str]) -> str:
     """Return logs that no motor claims, in words; empty for none."""
     named = ", ".join(strays[:MOST_STRAYS]) + ", …" * (len(strays) > MOST_STRAYS)
     match = "matches" if len(strays) == 1 else "match"

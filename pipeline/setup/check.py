@@ -28,8 +28,8 @@ from pipeline.setup.column_check import (
     Dated,
     changed_readings,
     column_changes,
+    differing_units,
     suspect_units,
-    units_told,
     unused_qualities,
 )
 from pipeline.setup.extremes import jumps, repeated_extremes
@@ -106,15 +106,19 @@ def check_motor(
     records = without_misdated(looked_at)
     nights = {label for record in records.values() for label in labels_of(record)}
     dated = sorted(
-        (max(labels_of(one)), name)
-        for name, one in records.items()
-        if one.status == "ok" and one.nights
+        (max(labels_of(record)), name)
+        for name, record in records.items()
+        if record.status == "ok" and record.nights
     )
-    small = [one for one in dated if records[one[1]].size <= LARGEST_LOG_BYTES]
+    small = [(label, name) for label, name in dated if records[name].size <= LARGEST_LOG_BYTES]
     channels, unfit, worth = _look_into(spec, small, logs.path) if small else ((), [], [])
     stated = (*spec.motor_type.path, *(spec.oils[name] for name in spec.file.oils))
     broken, written = (
-        [f"{one.error_code}: {one.message}" for one in records.values() if one.status == status]
+        [
+            f"{record.error_code}: {record.message}"
+            for record in records.values()
+            if record.status == status
+        ]
         for status in ("failed", "growing")
     )
     absent = [f"log_missing: {name}: named in the config and absent" for name in logs.absent]
@@ -146,7 +150,7 @@ def check_motor(
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
         faults=tuple(faults),
-        placeholders=tuple(one.name for one in stated if one.source == "placeholder"),
+        placeholders=tuple(entry.name for entry in stated if entry.source == "placeholder"),
         channels=channels,
         forecast=forecast,
         notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
@@ -161,8 +165,8 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
     record = stat_log(name, path)
     if record.status == "failed":
         return record
-    found, why = spanned(record, path, spec), change_of(record, path)
-    return found if why is None else failed(found, why)
+    spanned_record, why = spanned(record, path, spec), change_of(record, path)
+    return spanned_record if why is None else failed(spanned_record, why)
 
 
 def _forecast(
@@ -183,9 +187,9 @@ def _forecast(
     small = [label for label in nights if sizes[label] <= LARGEST_LOG_BYTES]
     # The newest, then the first and the middle one.
     for label in dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small):
-        (found,) = forecasts(spec, [label], records)
-        yield found
-        if found.status == OK:
+        (forecast,) = forecasts(spec, [label], records)
+        yield forecast
+        if forecast.status == OK:
             return
 
 
@@ -255,32 +259,32 @@ def _look_into(
     speed = log.channels["speed"]
     clean = clean_channel(speed, _rules(spec, "speed"))
     rests = Rests.of(clean, spec.settings.cleaning.standstill_rpm)
-    found = tuple(
+    checks = tuple(
         _channel_check(spec, name, log.channels[name], rests) for name in spec.file.channels
     )
-    kept = night_of_log(spec, label, log)
-    if kept and (changed := changed_readings(spec, dated, path_of, kept)):
+    samples = night_of_log(spec, label, log)
+    if samples and (changed := changed_readings(spec, dated, path_of, samples)):
         # What else is odd follows from it.
-        return found, [changed], []
-    told = units_told(path_of(newest), spec.file)
+        return checks, [changed], []
+    differing = differing_units(path_of(newest), spec.file)
     notes = [f"no sample of the night {label} is kept"]
-    if kept:
-        notes = [operation(spec, kept), *swapped(kept)]
+    if samples:
+        notes = [operation(spec, samples), *swapped(samples)]
     looks = (
         sampling_note(name, channel, log.channels[name])
         for name, channel in spec.file.channels.items()
         if channel.constant is None
     )
     faults = [
-        *told,
+        *differing,
         *suspect_units(spec, label, log.channels),
         *repeated_extremes(spec, log.channels),
     ]
     # What is refused mostly follows from the rest.
-    faults = faults or [*_refused(found, log.channels["speed"].time_us)]
+    faults = faults or [*_refused(checks, log.channels["speed"].time_us)]
     unused = unused_qualities(path_of(newest), spec.file)
     leaps = jumps(log.channels["oil_temperature"])
-    return found, faults, [*notes, *filter(None, looks), *leaps, *unused]
+    return checks, faults, [*notes, *filter(None, looks), *leaps, *unused]
 
 
 def _refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:
@@ -305,13 +309,13 @@ def _channel_check(
     channel = spec.file.channels[name]
     clean = clean_channel(raw, _rules(spec, name), rests=rests)
     n = max(clean.n_samples, 1)
-    kept = clean.value[~clean.refused]
+    values = clean.value[~clean.refused]
     return ChannelCheck(
         channel=name,
         unit=channel.unit,
         n_samples=clean.n_samples,
         rate_hz=SECOND_US / clean.period_us if clean.period_us else None,
-        median=float(np.median(kept)) if len(kept) else None,
+        median=float(np.median(values)) if len(values) else None,
         share_missing=clean.counts["missing"] / n,
         share_refused=clean.counts["any"] / n,
         refused_by={

@@ -65,7 +65,9 @@ def suspect_units(
         if not usual[0] <= typical[COUNTED] <= usual[1]:
             unusual, where = {COUNTED: usual}, f" where the model has {expected:.2g}"
     for name, usual in unusual.items():
-        configured = next(one.unit for other, one in spec.file.channels.items() if other == name)
+        configured = next(
+            channel.unit for other, channel in spec.file.channels.items() if other == name
+        )
         in_log = float(from_canonical(name, typical[name], configured))
         units = " or ".join(likely_units(name, [in_log], usual)[:2])
         mended = f"; it would be usual if the log's unit were {units}" if units else ""
@@ -73,19 +75,19 @@ def suspect_units(
         yield f"unit_unusual: {name}: typically {shown}, which is unusual{where}{mended}"
 
 
-def units_told(path: Path, file: MotorFile) -> Iterator[str]:
+def differing_units(path: Path, file: MotorFile) -> Iterator[str]:
     """Channels that a table's header or line of units gives another unit than the config."""
     beside = header_of(path, file.logs)
     for name, channel in file.channels.items():
-        said = meaning_of(channel.source, beside.get(channel.source, "")).unit
+        unit = meaning_of(channel.source, beside.get(channel.source, "")).unit
         is_judged = channel.counts is None and channel.constant is None and channel.scale == 1.0
-        if said is None or said == channel.unit or not is_judged:
+        if unit is None or unit == channel.unit or not is_judged:
             continue
         code, more = "unit_differs", ""
-        if QUANTITY_OF[said] != QUANTITIES[name]:
+        if QUANTITY_OF[unit] != QUANTITIES[name]:
             code, more = "unit_dimension", f", which is no {QUANTITIES[name]}: another column?"
         yield (
-            f"{code}: {name}: configured in {channel.unit}, and the log says {said} of "
+            f"{code}: {name}: configured in {channel.unit}, and the log says {unit} of "
             f"{channel.source}{more}"
         )
 
@@ -170,7 +172,7 @@ def column_changes(spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]
 
 def _alone(these: Iterable[str], others: Collection[str]) -> str:
     """The first columns of one log that the other does not have."""
-    return ", ".join([repr(one) for one in these if one not in others][:_SHOWN]) or "none"
+    return ", ".join([repr(column) for column in these if column not in others][:_SHOWN]) or "none"
 
 
 def changed_readings(
@@ -181,7 +183,7 @@ def changed_readings(
     The first log is that since the last event.
     """
     since = max((event.date for event in spec.file.baseline_events), default=dt.date.min)
-    dated = [one for one in dated if one[0] >= since]
+    dated = [(label, name) for label, name in dated if label >= since]
 
     def means(at: int) -> dict[str, float]:
         label, name = dated[at]
@@ -196,18 +198,18 @@ def changed_readings(
         return column_change(spec, usual, now) if usual and now else None
 
     usual = means(0) if len(dated) > 1 else {}
-    if (told := why(_means(newest))) is None:
+    if (change := why(_means(newest))) is None:
         return None
     last = len(dated) - 1
     first = bisect_left(range(last), True, 1, key=lambda at: why(means(at)) is not None)
-    return f"columns_changed: from {dated[first][1]} on: {told}"
+    return f"columns_changed: from {dated[first][1]} on: {change}"
 
 
 def _means(samples: Samples) -> dict[str, float]:
     """Means of the kept samples, as those of a run; and of each gauge of two."""
     row = conditions(samples)
-    found = {name: row[column] for name, column in COLUMNS.items()}
+    means = {name: row[column] for name, column in COLUMNS.items()}
     if (low := samples.low_pressures_bar.get("low_port_pressure")) is not None:
         high = samples.pressure_difference_bar + low
-        found |= dict(zip(PORT_PRESSURES, (float(high.mean()), float(low.mean())), strict=True))
-    return found
+        means |= dict(zip(PORT_PRESSURES, (float(high.mean()), float(low.mean())), strict=True))
+    return means

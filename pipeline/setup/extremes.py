@@ -70,11 +70,11 @@ def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
 
 def _credible(name: str, channel: Channel, value: Array) -> Array:
     low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
-    found = value[np.isfinite(value) & (value >= low) & (value <= high)]
+    readings = value[np.isfinite(value) & (value >= low) & (value <= high)]
     if channel.sensor_maximum is not None:
-        found = found[found < channel.sensor_maximum - channel.resolution]
+        readings = readings[readings < channel.sensor_maximum - channel.resolution]
     # Whatever stands still or is without load reads 0.
-    return found if name == "oil_temperature" else found[found != 0.0]
+    return readings if name == "oil_temperature" else readings[readings != 0.0]
 
 
 def _sentinels(value: Array) -> Iterator[tuple[float, float]]:

@@ -32,11 +32,11 @@ class FirstLook:
         channels: Mapping[str, RawChannel],
     ) -> None:
         """Judge the headers of the first and the newest log, and the newest night's channels."""
-        from pipeline.setup.column_check import column_changes, suspect_units, units_told
+        from pipeline.setup.column_check import column_changes, differing_units, suspect_units
 
         with suppress(LogError):  # of a log that was changed since, which the run says
             self.findings += column_changes(spec, dated, path_of)
-            self.findings += units_told(path_of(dated[-1][1]), spec.file)
+            self.findings += differing_units(path_of(dated[-1][1]), spec.file)
         self.findings += suspect_units(spec, night, channels)
 
     def at_samples(self, samples: Samples) -> None:

@@ -68,11 +68,16 @@ def fleet_files(
 
     Of `answers`, ``MOTOR.motor_type`` and ``MOTOR.oil`` are for one motor.
     """
-    own = [_document(one, *machine_of(one, motor_type, oil, answers)) for one in proposal.motors]
+    own = [
+        _document(motor, *machine_of(motor, motor_type, oil, answers)) for motor in proposal.motors
+    ]
     first, *others = (
-        _marked(one, _name(motor)) for motor, one in zip(proposal.motors, own, strict=True)
+        _marked(document, _name(motor))
+        for motor, document in zip(proposal.motors, own, strict=True)
     )
-    shared = {key: one for key, one in first.items() if all(o.get(key) == one for o in others)}
+    shared = {
+        key: value for key, value in first.items() if all(o.get(key) == value for o in others)
+    }
     logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
     folders = {"logs": logs.as_posix(), "output": "out"}
     nights: Document = {"time_zone": proposal.motors[0].logs.get("time_zone", "UTC")}
@@ -115,7 +120,9 @@ def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
     head = {"motor_id": motor.motor_id}
     head |= {"name_in_log": _name(motor)} if _name(motor) != motor.motor_id else {}
     known = named(shared, _name(motor))
-    return _toml(head | {key: one for key, one in own.items() if not _is_said(one, known.get(key))})
+    return _toml(
+        head | {key: value for key, value in own.items() if not _is_said(value, known.get(key))}
+    )
 
 
 def _is_said(value: Any, known: Any) -> bool:
@@ -189,16 +196,18 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
 
 def _flat(document: Document) -> Document:
     """A motor's document with the keys of logs, and the channels, by their paths."""
-    found = {key: one for key, one in document.items() if key not in ("logs", "channels")}
+    settings = {key: value for key, value in document.items() if key not in ("logs", "channels")}
     for table in ("logs", "channels"):
-        found |= {f"{table}.{key}": one for key, one in document.get(table, {}).items()}
-    return found
+        settings |= {f"{table}.{key}": value for key, value in document.get(table, {}).items()}
+    return settings
 
 
 def _marked(value: Any, name: str) -> Any:
     """Texts with the mark in the place of a motor's name; a query is of all motors."""
     if isinstance(value, dict):
-        return value if "query" in value else {k: _marked(one, name) for k, one in value.items()}
+        return (
+            value if "query" in value else {k: _marked(inner, name) for k, inner in value.items()}
+        )
     if isinstance(value, list):
         return [_marked(inner, name) for inner in value]
     return value.replace(name, NAME_MARK) if isinstance(value, str) else value
@@ -216,7 +225,7 @@ def _toml(document: Document) -> str:
     lines: list[str] = []
     for name, own in tables.items():
         lines += [f"\n[{name}]"] * bool(name and own)
-        lines += [f"{key} = {_value(one)}" for key, one in own.items()]
+        lines += [f"{key} = {_value(setting)}" for key, setting in own.items()]
     return "\n".join(lines).strip() + "\n"
 
 
@@ -245,12 +254,12 @@ def observe(motor: ProposedMotor) -> Observed:
         is_known = all(channel.unit for channel in motor.channels.values())
         if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
             return Observed(spans)
-        found = read_log(newest, logs, channels).channels
+        raw_channels = read_log(newest, logs, channels).channels
     except LogError as error:
         return Observed(fault=f"{error.code}: {error.message}")
-    every_us = np.unique(np.concatenate([one.time_us for one in found.values()]))
-    sampling = {name: silence_keys(one, every_us) for name, one in found.items()}
-    sizes = {name: np.abs(one.value[np.isfinite(one.value)]) for name, one in found.items()}
+    every_us = np.unique(np.concatenate([raw.time_us for raw in raw_channels.values()]))
+    sampling = {name: silence_keys(raw, every_us) for name, raw in raw_channels.items()}
+    sizes = {name: np.abs(raw.value[np.isfinite(raw.value)]) for name, raw in raw_channels.items()}
     if "speed" in sizes:
         sizes["speed"] = sizes["speed"][sizes["speed"] > _STANDSTILL_RPM]
     typical = {name: float(np.median(size)) for name, size in sizes.items() if len(size)}
@@ -262,18 +271,18 @@ def observe(motor: ProposedMotor) -> Observed:
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
     """Conditions of `[reference]`: the fleet's own medians, to two figures; none where unknown."""
-    found = {}
+    conditions = {}
     for key, name in _REFERENCE.items():
-        known = [value for one in observed if (value := one.typical.get(name))]
+        known = [value for observation in observed if (value := observation.typical.get(name))]
         if known:
-            found[key] = float(f"{median(known):.2g}")
-    return found
+            conditions[key] = float(f"{median(known):.2g}")
+    return conditions
 
 
 def night_end(observed: Sequence[Observed]) -> int | None:
     """Hour at which logs stop for some hours every day; None where they do not."""
     covered = set[int]()
-    for begin, end in (span for one in observed for span in one.spans):
+    for begin, end in (span for observation in observed for span in observation.spans):
         hours = min(int((end - begin) / dt.timedelta(hours=1)) + 1, 24)
         covered |= {(begin + dt.timedelta(hours=i)).hour for i in range(hours)} | {end.hour}
     stops = [hour for hour in range(24) if hour not in covered and (hour - 1) % 24 in covered]
@@ -287,8 +296,8 @@ def with_sampling(proposal: Proposal, observed: Mapping[str, Observed]) -> Propo
 
     Motors that nobody looked into have what all others have in common.
     """
-    known = [one.sampling for one in observed.values() if one.typical]
-    common = known[0] if known and all(one == known[0] for one in known) else {}
+    known = [observation.sampling for observation in observed.values() if observation.typical]
+    common = known[0] if known and all(sampling == known[0] for sampling in known) else {}
 
     def channels(motor: ProposedMotor) -> dict[str, Column]:
         own = observed[motor.motor_id].sampling if motor.motor_id in observed else common

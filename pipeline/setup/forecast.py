@@ -49,7 +49,7 @@ def forecasts(
     for label in sorted(logs.present() if labels is None else labels):
         status, reason, row, lag = _forecast(spec, logs, label)
         since = _era(spec, label)
-        nights = [one for one in fitted if one >= since][-USUAL_NIGHTS:]
+        nights = [day for day in fitted if day >= since][-USUAL_NIGHTS:]
         usual, now = usual_readings(fitted[night] for night in nights), readings_of(row)
         if usual and now and (why := column_change(spec, usual, now)):
             status, reason = FAILED, why
@@ -64,7 +64,7 @@ def _forecast(
     here = night(label, spec.settings.nights)
     names = logs.of_night(label)
     contents = [logs.content(name) for name in (*logs.before_night(here), *names)]
-    broken = [one for name in names if (one := logs.files[name]).status != "ok"]
+    broken = [record for name in names if (record := logs.files[name]).status != "ok"]
     if broken:
         return FAILED, broken[0].message or "", {}, {}
     read = [content for content in contents if content is not None]

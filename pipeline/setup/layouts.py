@@ -61,7 +61,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What tells logs of one motor from those of several."""
+    """What distinguishes logs of one motor from those of several."""
 
     columns_of: Callable[[Path], object]
     span_of: Callable[[Path], Span | None]  # in microseconds; None where it is not known
@@ -76,20 +76,20 @@ def kinds_of(files: Sequence[Path], root: Path, seen: Seen) -> list[Kind]:
     by_count: dict[Parts, list[Parts]] = {}
     for template in alike:
         by_count.setdefault(without_counts(template), []).append(template)
-    found: dict[Parts, list[Path]] = {}
+    by_template: dict[Parts, list[Path]] = {}
     for counted, templates in by_count.items():
         own = {template: alike[template] for template in templates}
         if len(own) > 1 and _is_one_motor(counted, own, seen):
             own = {counted: sorted(path for group in own.values() for path in group)}
-        found |= own
-    in_folder = Counter(template[:-1] for template in found)
+        by_template |= own
+    in_folder = Counter(template[:-1] for template in by_template)
     return [
         Kind(
             _patterns(template, own, files, root),
             tuple(own),
             _name(template, is_alone=in_folder[template[:-1]] == 1) or root.name,
         )
-        for template, own in found.items()
+        for template, own in by_template.items()
     ]
 
 
@@ -103,13 +103,13 @@ def template_of(place: Sequence[str]) -> Parts:
     >>> template_of(("W1", "date=2026-01-02", "W1_02.01.2026.csv"))
     ('W1', 'date=\x00', 'W1_\x00.csv')
     """
-    found, is_date = list[str](), False
+    template, is_date = list[str](), False
     for part in place:
         stem, suffix = (part, "") if part is not place[-1] else (Path(part).stem, Path(part).suffix)
         # Behind the folder of a year stand those of months and days.
         is_date = bool(re.fullmatch(_YEAR, stem) or (is_date and re.fullmatch(r"\d\d?", stem)))
-        found.append(VARIES + suffix if is_date else _dated(part))
-    return tuple(found)
+        template.append(VARIES + suffix if is_date else _dated(part))
+    return tuple(template)
 
 
 def _dated(part: str) -> str:

@@ -22,7 +22,7 @@ from pipeline.units import QUANTITIES, UNITS, to_canonical
 _FILE = Path(__file__).with_name("vocabulary.toml")
 VOCABULARY: Mapping[str, Mapping[str, str]] = tomllib.loads(_FILE.read_text("utf-8"))
 CHANNEL_OF = {"temperature": "oil_temperature", "speed": "speed", "flow": "leakage_flow"}
-QUANTITY_OF = {unit: one for one in ("pressure", *CHANNEL_OF) for unit in UNITS[one]}
+QUANTITY_OF = {unit: quantity for quantity in ("pressure", *CHANNEL_OF) for unit in UNITS[quantity]}
 LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 FEWEST_CHANNELS = 3  # by which names are a motor's
 
@@ -55,7 +55,9 @@ class Meaning:
 @cache
 def _known(table: str, key: str) -> re.Pattern[str]:
     """Words of the vocabulary, with and without the marks on their letters."""
-    words = {one for word in VOCABULARY[table][key].split() for one in _spelled(word.lower())}
+    words = {
+        spelling for word in VOCABULARY[table][key].split() for spelling in _spelled(word.lower())
+    }
     return re.compile("|".join(re.escape(word).replace(r"\*", ".*") for word in words))
 
 
@@ -64,7 +66,7 @@ def _spelled(word: str) -> Iterator[str]:
     yield word
     yield "".join(two.get(letter, letter) for letter in word)
     yield "".join(
-        one for one in unicodedata.normalize("NFD", word) if not unicodedata.combining(one)
+        letter for letter in unicodedata.normalize("NFD", word) if not unicodedata.combining(letter)
     )
 
 
@@ -76,12 +78,12 @@ def is_in(words: Iterable[str], table: str, key: str) -> bool:
 def words_of(name: str) -> tuple[str, ...]:
     """Words and numbers of a name, in lower case, without what stands in brackets."""
     plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", re.sub("[Δ∆]", "d", name)))
-    found = _WORD.findall(_HIGHER.sub(" ", plain).lower())
-    return tuple(re.sub(r"\bd p\b", "dp", " ".join(found)).split())
+    words = _WORD.findall(_HIGHER.sub(" ", plain).lower())
+    return tuple(re.sub(r"\bd p\b", "dp", " ".join(words)).split())
 
 
 _UNITS = {low: unit for unit, names in VOCABULARY["unit"].items() for low in names.split()}
-# Of "pa" the letters' case tells pascals from the pressure of port A.
+# Of "pa" the letters' case distinguishes pascals from the pressure of port A.
 _UNITS |= {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
 
 
@@ -118,34 +120,36 @@ def _without_unit(name: str) -> str:
 def meaning_of(name: str, unit: str = "") -> Meaning:
     """Meaning of a name, with what stands beside it as a unit."""
     words = words_of(_without_unit(name))
-    told = list(_quantities(words, name))
-    said = unit_named(unit) or unit_in(name)
-    if said is None and "temperature" in told:
+    quantities = list(_quantities(words, name))
+    known_unit = unit_named(unit) or unit_in(name)
+    if known_unit is None and "temperature" in quantities:
         last = next((word for word in reversed(words) if not is_in([word], "column", "part")), "")
-        said = unit_named(last) if last in ("c", "f", "k") else None
-    stated = QUANTITY_OF.get(said or "")
-    if stated is not None and told and stated not in told:
-        return Meaning(None, said)
-    quantity = stated or next(iter(told), None)
+        known_unit = unit_named(last) if last in ("c", "f", "k") else None
+    stated = QUANTITY_OF.get(known_unit or "")
+    if stated is not None and quantities and stated not in quantities:
+        return Meaning(None, known_unit)
+    quantity = stated or next(iter(quantities), None)
     if quantity is None or is_in(words, "other", quantity) or is_in(words, "other", "none"):
-        return Meaning(None, said)
+        return Meaning(None, known_unit)
     if quantity == "pressure":
         role = _role(words, name)
-        return Meaning(role or "pressure_difference", said, 0 if role else -1)
+        return Meaning(role or "pressure_difference", known_unit, 0 if role else -1)
     channel = CHANNEL_OF[quantity]
-    return Meaning(channel, said, int(is_in(words, "preferred", channel)))
+    return Meaning(channel, known_unit, int(is_in(words, "preferred", channel)))
 
 
 def _quantities(words: Sequence[str], name: str) -> Iterator[str]:
     """Quantities that words name; by a tag's code or a lone letter where no word does."""
-    found = [one for one in VOCABULARY["quantity"] if is_in(words, "quantity", one)]
-    if not found:
-        found = ["pressure" if key == "difference" else key for key in _codes(name)]
-    if not found and len(words) <= _LONGEST_WITH_A_LETTER:
-        found = [
+    quantities = [
+        quantity for quantity in VOCABULARY["quantity"] if is_in(words, "quantity", quantity)
+    ]
+    if not quantities:
+        quantities = ["pressure" if key == "difference" else key for key in _codes(name)]
+    if not quantities and len(words) <= _LONGEST_WITH_A_LETTER:
+        quantities = [
             key for word in words for key in VOCABULARY["letter"] if is_in([word], "letter", key)
         ]
-    return iter(found)
+    return iter(quantities)
 
 
 def _codes(name: str) -> list[str]:
@@ -177,10 +181,10 @@ def likely_units(
 
     The commonest are first.
     """
-    found = sorted(map(abs, values))
+    magnitudes = sorted(map(abs, values))
     quantity = QUANTITIES[channel]
     low, high = usual or (_USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity])
-    typical = found[(3 * len(found)) // 4] if found else float("nan")
+    typical = magnitudes[(3 * len(magnitudes)) // 4] if magnitudes else float("nan")
     common = ("bar", "MPa", "kPa", "psi", "degC", "rpm", "l/min", "ml/min", "m3/h")
     units = sorted(UNITS[quantity], key=lambda unit: unit not in common)
     return tuple(
@@ -188,14 +192,14 @@ def likely_units(
     )
 
 
-def missing_channels(found: Collection[str]) -> list[str]:
+def missing_channels(channels: Collection[str]) -> list[str]:
     """Channels that a motor has to have, besides those that were found."""
-    ports = [name for name in PORT_PRESSURES if name not in found]
-    if "pressure_difference" in found:
+    ports = [name for name in PORT_PRESSURES if name not in channels]
+    if "pressure_difference" in channels:
         ports = []
     elif len(ports) == len(PORT_PRESSURES):
         ports = ["pressure_difference"]
-    return [*ports, *(name for name in CHANNEL_OF.values() if name not in found)]
+    return [*ports, *(name for name in CHANNEL_OF.values() if name not in channels)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,12 +216,12 @@ def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Grou
     A group is the longest common part behind which the most channels stand, each once. Names that
     share nothing are one motor's, called nothing.
     """
-    left, found = list(names), list[Group]()
+    left, groups = list(names), list[Group]()
     while True:
         best = max(_candidates(left), key=lambda candidate: _fit(candidate, units), default=None)
         if best is None or _fit(best, units)[0] < FEWEST_CHANNELS:
-            return found, left
-        found.append(best)
+            return groups, left
+        groups.append(best)
         left = [name for name in left if name not in best.signals]
 
 
@@ -227,8 +231,8 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
     parts: dict[tuple[str, bool], dict[str, str]] = {}
     spelled: dict[tuple[str, bool], Counter[str]] = {}
     for name in names:
-        hidden = _BRACKETED.sub(lambda one: "x" * len(one[0]), name)
-        for begin, end in (one.span() for one in _MARK.finditer(hidden)):
+        hidden = _BRACKETED.sub(lambda match: "x" * len(match[0]), name)
+        for begin, end in (mark.span() for mark in _MARK.finditer(hidden)):
             # What stands behind is the motor's as far as no unit follows.
             tail = _BRACKETED.sub("", name[end:]).strip()
             unit = name[end:].removeprefix(tail)
@@ -242,16 +246,16 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
     for (path, is_head), signals in parts.items():
         name = spelled[path, is_head].most_common(1)[0][0]
         ends_path = not is_head and all(
-            is_in([one], "column", "part") or one.isdigit() for one in words_of(name)
+            is_in([word], "column", "part") or word.isdigit() for word in words_of(name)
         )
         if name and not ends_path and len(signals) >= FEWEST_CHANNELS:
             yield Group(name, signals)
 
 
 def _fit(group: Group, units: Mapping[str, str]) -> tuple[int, int]:
-    """Channels told once less those told again, then the length of what is common."""
-    told = (
+    """Channels named once less those named again, then the length of what is common."""
+    channels = (
         meaning_of(signal, units.get(name, "")).channel for name, signal in group.signals.items()
     )
-    counts = Counter(channel for channel in told if channel)
+    counts = Counter(channel for channel in channels if channel)
     return 2 * len(counts) - counts.total(), len(group.name)

@@ -17,7 +17,7 @@ from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES, Insufficient, cle
 from pipeline.night.time_base import Samples
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
-# 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % told every path.
+# 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.
 _RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
 # Conditions that vary by less tell nothing: the 5th to 95th percentile beside the median, and [K].
 _VARIES, _VARIES_K = 0.3, 4.0
@@ -75,7 +75,7 @@ def swapped(samples: Samples) -> Iterator[str]:
     if float(np.mean(np.abs(np.diff(t))[close] > _JUMP_C)) > _JUMPS_SHARE:
         yield "oil_temperature jumps as no oil does: are columns swapped?"
     widths = ((p, _VARIES * np.median(p)), (t, _VARIES_K))
-    drives = [one for one, width in widths if np.ptp(np.percentile(one, (5, 95))) > width]
+    drives = [values for values, width in widths if np.ptp(np.percentile(values, (5, 95))) > width]
     # Hotter oil is thinner: the flow rises with either.
     if drives and np.ptp(q) > 0 and all(_rank_correlation(drive, q) < _FOLLOWS for drive in drives):
         how = "follows neither pressure nor the oil's viscosity"

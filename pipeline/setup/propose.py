@@ -103,10 +103,10 @@ def propose(
             unread += 1
             continue
         asked.log = kind.name
-        found = _motors(_dated_by_names(table, kind), kind, asked)
-        motors += found
+        proposed = _motors(_dated_by_names(table, kind), kind, asked)
+        motors += proposed
         faults += [f"log_type: {kind.patterns[0]}: {fault}" for fault in table.faults]
-        if not found:
+        if not proposed:
             faults.append(f"no_motor: {kind.patterns[0]}: {_why_no_motor(table)}")
     if unread == len(faults) > 0 and not motors:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
@@ -154,26 +154,26 @@ def _dated_by_names(table: Table, kind: Kind) -> Table:
         is_odd = not _agrees(kind.files[-1], table) and _agrees(kind.files[-1], by_sample)
         return by_sample if is_odd else table
     form = str(table.logs.get("time_format", ""))
-    question = next((one for one in table.questions if one.key == "time_format"), None)
+    question = next((asked for asked in table.questions if asked.key == "time_format"), None)
     day, month = form.find("%d"), form.find("%m")
     if min(day, month) < 0 or (question and not question.choices):
         return table
     swapped = form.replace("%d", "\0").replace("%m", "%d").replace("\0", "%m")
     looked_at = kind.files[:: max(1, len(kind.files) // _NAMES_COMPARED)]
     agree = {
-        one: sum(
-            _agrees(path, replace(table, logs={**table.logs, "time_format": one}))
+        candidate: sum(
+            _agrees(path, replace(table, logs={**table.logs, "time_format": candidate}))
             for path in looked_at
         )
-        for one in (form, swapped)
+        for candidate in (form, swapped)
     }
-    left = tuple(one for one in table.questions if one.key != "time_format")
+    left = tuple(asked for asked in table.questions if asked.key != "time_format")
     if agree[form] == agree[swapped]:
         is_odd = 0 < agree[form] < len(looked_at) and question is None
         text = "its logs are dated by either, as their names say: which is it?"
         odd = Question("time_format", text, (form, swapped))
         return replace(table, questions=(*left, odd)) if is_odd else table
-    best = max(agree, key=lambda one: agree[one])
+    best = max(agree, key=lambda candidate: agree[candidate])
     return replace(table, logs={**table.logs, "time_format": best}, questions=left)
 
 
@@ -191,8 +191,8 @@ def _span(path: Path, table: Table | None) -> tuple[int, int] | None:
     with suppress(LogError, ValueError):
         logs = Logs.model_validate({**table.logs, "files": (path.name,)})
         # Of a message's own time, one topic will do.
-        one = {"unit": "rpm", **table.columns[0].keys} if logs.format == "mcap" else {}
-        channels: Any = {"speed": Channel.model_validate(one)} if one else {}
+        keys = {"unit": "rpm", **table.columns[0].keys} if logs.format == "mcap" else {}
+        channels: Any = {"speed": Channel.model_validate(keys)} if keys else {}
         return time_span(path, logs, channels)
     return None
 
@@ -205,7 +205,9 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     signals = signals_of(table)
     tag = signals.logs.get("channel_column")
     several = {
-        one.name: names for one in table.columns if (names := motors_of_rows(one, table, tag))
+        candidate.name: names
+        for candidate in table.columns
+        if (names := motors_of_rows(candidate, table, tag))
     }
     column = next(iter(several), None)
     if len(several) > 1:
@@ -215,12 +217,12 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     if several:
         names = several.get(column or "", ())
         rows = [(name, {"motor_column": column, "motor_name": name}) for name in names]
-    found = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
-    if found:
+    motors = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
+    if motors:
         asked.unused |= dict.fromkeys(columns_without_use(table, signals, list(several)))
-    dialect = asked.keys_of(signals) if found or several else {}
+    dialect = asked.keys_of(signals) if motors or several else {}
     files = {"files": list(kind.patterns)}
-    return [replace(one, logs={**dialect, **files, **one.logs}) for one in found]
+    return [replace(motor, logs={**dialect, **files, **motor.logs}) for motor in motors]
 
 
 # The channels of a motor
@@ -232,7 +234,7 @@ def _grouped(
     """The motors whose columns, tags or fields there are; `log` names what none of them does."""
     by_name = {column.name: column for column in table.columns}
     further = cells_of(table)
-    groups, left = groups_of(list(by_name), {name: one.unit for name, one in by_name.items()})
+    groups, left = groups_of(list(by_name), {name: column.unit for name, column in by_name.items()})
     asked.unused |= dict.fromkeys(left if groups else ())
     for group in groups:
         motor = group.name or log
@@ -255,6 +257,8 @@ def _apart(motors: Sequence[ProposedMotor]) -> Iterator[ProposedMotor]:
     taken: set[str] = set()
     for motor in motors:
         others = (f"{motor.motor_id}-{number}" for number in count(2))
-        own = next(one for one in chain([motor.motor_id], others) if one not in taken)
+        own = next(
+            motor_id for motor_id in chain([motor.motor_id], others) if motor_id not in taken
+        )
         taken.add(own)
         yield replace(motor, motor_id=own)

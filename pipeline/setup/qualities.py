@@ -72,17 +72,17 @@ def good_codes(words: Sequence[str], cells: Iterable[str]) -> tuple[str | int, .
 def with_qualities(columns: Sequence[Column]) -> tuple[Column, ...]:
     """Return the columns of readings, each with the quality beside it or that of its whole row."""
     marks = {column.name: column for column in columns if quality_words(column.name)}
-    whole = next(_of_rows(one for one in marks.values() if _is_whole(one)), None)
-    beside = {_base(one.name): one for one in marks.values() if not _is_whole(one)}
+    whole = next(_of_rows(column for column in marks.values() if _is_whole(column)), None)
+    beside = {_base(column.name): column for column in marks.values() if not _is_whole(column)}
     readings = [column for column in columns if column.name not in marks]
-    found, used = list[Column](), set[str]()
+    with_quality, used = list[Column](), set[str]()
     for reading in readings:
         mark = beside.get(_without_value(reading.name)) or beside.get(_words(reading.name))
         own = whole if mark is None else _quality(mark)
         used |= {mark.name} if mark else set()
-        found.append(replace(reading, quality=own))
-    rest = (one for one in beside.values() if one.name not in used)
-    return (*found, *rest)
+        with_quality.append(replace(reading, quality=own))
+    rest = (column for column in beside.values() if column.name not in used)
+    return (*with_quality, *rest)
 
 
 def whole_row_quality(columns: Iterable[Column]) -> Quality | None:

@@ -143,9 +143,9 @@ class Chooser:
         Its unit is the config's, or empty where it has to be asked; its keys are all of
         ``[channels.…]``.
         """
-        found = self._found()
+        column_names = self._column_names()
         for channel in CHANNELS:
-            if name := found.get(channel):
+            if name := column_names.get(channel):
                 column = self.columns[name]
                 unit = self._unit(channel, column)
                 keys = {**column.keys, **({"unit": unit} if unit else {})}
@@ -153,28 +153,28 @@ class Chooser:
                     keys |= self._quality_keys(column.quality)
                 yield channel, replace(column, unit=unit or "", keys=keys)
 
-    def _found(self) -> dict[str, str | None]:
+    def _column_names(self) -> dict[str, str | None]:
         """Name of the column by channel."""
         rivals, bare = self._rivals()
-        found: dict[str, str | None] = {}
+        column_names: dict[str, str | None] = {}
         for channel, names in rivals.items():
             # An answer has the last word, asked for or not.
             is_open = len(names) > 1 or f"{self.motor_id}.{channel}" in self.asked.answers
             why = f"{', '.join(names)} may be it"
-            found[channel] = self._which(channel, why, names) if is_open else names[0]
+            column_names[channel] = self._which(channel, why, names) if is_open else names[0]
         if bare:
-            found |= self._ports(sorted(bare, key=self._size, reverse=True), found)
-        for channel in missing_channels(found):
+            column_names |= self._ports(sorted(bare, key=self._size, reverse=True), column_names)
+        for channel in missing_channels(column_names):
             # A thermometer in the tank, or a gauge in a common line, is of every motor.
             shared = [name for name in self.shared if shared_channel(name, self.columns) == channel]
             is_answered = f"{self.motor_id}.{channel}" in self.asked.answers
             if len(shared) == 1 and not is_answered:
-                found[channel] = shared[0]
+                column_names[channel] = shared[0]
                 continue
             own = [name for name in self.columns if name in self.group.signals]
             choices = list(dict.fromkeys((*shared, *own, *self.shared)))
-            found[channel] = self._which(channel, "none was found", choices)
-        return found
+            column_names[channel] = self._which(channel, "none was found", choices)
+        return column_names
 
     def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
         """The columns that fit each channel best, and pressures of nobody in particular."""
@@ -201,14 +201,14 @@ class Chooser:
         return rivals, bare
 
     def _ports(
-        self, names: Sequence[str], found: Mapping[str, str | None]
+        self, names: Sequence[str], column_names: Mapping[str, str | None]
     ) -> dict[str, str | None]:
         """Channels of pressures of which the names do not say whose they are, the highest first."""
         high, low = PORT_PRESSURES
-        told = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
-        why = f"the log does not say whose pressure {told} is"
-        if low in found or high in found:
-            other = low if high in found else high
+        columns = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
+        why = f"the log does not say whose pressure {columns} is"
+        if low in column_names or high in column_names:
+            other = low if high in column_names else high
             return {other: self._which(other, why, names)}
         if len(names) > 1:
             more = f" The other is the low port's; {NONE}: they are no ports'"
@@ -245,17 +245,17 @@ class Chooser:
         return float(to_canonical(_DIFFERENCE, median(sizes or [0.0]), known or "bar"))
 
     def _numbers(self, column: Column) -> list[float]:
-        found = (as_number(cell, self.marks) for cell in column.filled)
-        return [number for number in found if number is not None]
+        numbers = (as_number(cell, self.marks) for cell in column.filled)
+        return [number for number in numbers if number is not None]
 
     def _unit(self, channel: str, column: Column) -> str | None:
         """The unit of a column; one answer is for columns called alike whose readings are alike."""
-        said = meaning_of(column.name, column.unit).unit
-        if said is not None and QUANTITY_OF.get(said) == QUANTITIES[channel]:
-            return said
+        unit = meaning_of(column.name, column.unit).unit
+        if unit is not None and QUANTITY_OF.get(unit) == QUANTITIES[channel]:
+            return unit
         # The head of a log may be a standstill.
         known = (as_number(cell, self.marks) for cell in self.further(column.name))
-        numbers = [abs(one) for one in known if one] or [*map(abs, self._numbers(column))]
+        numbers = [abs(number) for number in known if number] or [*map(abs, self._numbers(column))]
         shown = "; ".join(column.filled[:3])
         text = f"{self.motor_id}: unit of {plain(channel)} ({column.name}: {shown}): which is it?"
         units = tuple(UNITS[QUANTITIES[channel]])

@@ -47,7 +47,7 @@ def silence_keys(raw: RawChannel, every_us: Times) -> dict[str, Any]:
         return {}
     ordered = np.sort(steps)
     needed_s = ordered[np.searchsorted(np.cumsum(ordered), COVERED_TIME_SHARE * ordered.sum())]
-    silence_s = next((one for one in SILENCES_S if one >= needed_s), SILENCES_S[-1])
+    silence_s = next((seconds for seconds in SILENCES_S if seconds >= needed_s), SILENCES_S[-1])
     changes = np.abs(np.diff(value))
     smallest, typical = np.quantile(changes[changes > 0], (0.05, 0.5))
     keys: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": float(silence_s)}

@@ -32,22 +32,22 @@ def _of_columns(table: Table) -> Table:
 
 def _of_tags(table: Table) -> Table | None:
     """Return the channels of a log with a row a sample and names in a column, or None."""
-    columns = [one for one in table.columns if not quality_words(one.name)]
-    numbers = [one for one in columns if one.kind == "number"]
+    columns = [column for column in table.columns if not quality_words(column.name)]
+    numbers = [number for number in columns if number.kind == "number"]
     named = [number for number in numbers if is_in(words_of(number.name), "column", "value")]
     values = numbers if len(numbers) == 1 else named
-    texts = [one for one in columns if one.kind == "text"]
+    texts = [text for text in columns if text.kind == "text"]
     units = [text.name for text in texts if is_in(words_of(text.name), "column", "unit")][:1]
     names = [text for text in texts if text.name not in units]
     if len(values) != 1 or not names:
         return None
     # A tag's rows may stand together: its names are those of the whole head.
-    head = list(table.rows([one.name for one in names]))
+    head = list(table.rows([text.name for text in names]))
     channels = {
-        one.name: {meaning_of(cell).channel for cell in {row[at] for row in head}} - {None}
-        for at, one in enumerate(names)
+        text.name: {meaning_of(cell).channel for cell in {row[at] for row in head}} - {None}
+        for at, text in enumerate(names)
     }
-    column = max(names, key=lambda one: len(channels[one.name]))
+    column = max(names, key=lambda text: len(channels[text.name]))
     seen: dict[str, tuple[list[str], str]] = {}
     for name, cell, *unit in table.rows([column.name, values[0].name, *units]):
         cells, _ = seen.setdefault(name.strip(), ([], next(iter(unit), "")))
@@ -123,7 +123,7 @@ def motors_of_rows(column: Column, table: Table, tag: str | None) -> Cells:
             return ()
     if not (is_named and column.kind == "text"):
         seen = Counter(moment for own in seen_with.values() for moment in own)
-        shared = (sum(seen[one] > 1 for one in own) / len(own) for own in seen_with.values())
+        shared = (sum(seen[moment] > 1 for moment in own) / len(own) for own in seen_with.values())
         if min(shared, default=0.0) <= _SHARED_BY_CHANCE:
             return ()
     return tuple(sorted(seen_with)) if len(seen_with) > 1 else ()

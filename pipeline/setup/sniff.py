@@ -189,7 +189,9 @@ def _words_known(head: bytes, encoding: str) -> int:
     # Line by line: a bracket that is open at a line's end encloses nothing of the next.
     lines = head.decode(encoding, "replace").splitlines()
     words = {word for line in lines for word in words_of(line)}
-    return sum(is_in([word], "quantity", one) for one in VOCABULARY["quantity"] for word in words)
+    return sum(
+        is_in([word], "quantity", quantity) for quantity in VOCABULARY["quantity"] for word in words
+    )
 
 
 def _text_lines(path: Path, encoding: str, most_bytes: int) -> Iterator[str]:
@@ -220,7 +222,7 @@ def _taken_apart(
     rows = [_cells(line, separator) for line in lines]
     # The rows of samples are the last ones, whatever stands before them.
     tail = Counter(len(row) for row in rows[len(rows) // 2 :] if len(row) > 1)
-    width = max(tail, key=lambda one: (tail[one], one), default=1)
+    width = max(tail, key=lambda length: (tail[length], length), default=1)
     samples = [sum(map(_holds_sample, row)) if len(row) == width else 0 for row in rows]
     # A line of a preamble may hold a sample or two, and others follow it that hold none.
     least = max(min(2, max(samples, default=0)), 1)
@@ -269,7 +271,7 @@ def _units_among(rows: Iterable[Cells]) -> Cells:
 def _parquet(path: Path) -> Table:
     columns = _parquet_columns(path)
     with opened(path) as file:
-        kinds = {one.name: one.type for one in file.schema_arrow}
+        kinds = {field.name: field.type for field in file.schema_arrow}
     apart = {
         n: kind for n, kind in kinds.items() if pa.types.is_date(kind) or pa.types.is_time(kind)
     }
@@ -283,7 +285,7 @@ def _parquet(path: Path) -> Table:
     def rows(wanted: Sequence[str]) -> Rows:
         """The first rows of each text in the first of the columns, piece by piece."""
         for leaves in _leaves(path, 2**17, list(wanted)):
-            frame = pl.DataFrame({one.name: pl.Series(values) for one, values in leaves})
+            frame = pl.DataFrame({field.name: pl.Series(values) for field, values in leaves})
             first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
             yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
@@ -291,8 +293,8 @@ def _parquet(path: Path) -> Table:
 
 
 def _parquet_columns(path: Path) -> list[Column]:
-    found = (_column(*leaf) for leaf in next(_leaves(path, HEAD_ROWS)))
-    return [one for one in found if one is not None]
+    columns = (_column(*leaf) for leaf in next(_leaves(path, HEAD_ROWS)))
+    return [column for column in columns if column is not None]
 
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
@@ -307,9 +309,9 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
             while any(map(pa.types.is_struct, table.schema.types)):
                 table = table.flatten()
             yield [
-                (one, decoded(path, one.name, values.combine_chunks()))
-                for one, values in zip(table.schema, table.columns, strict=True)
-                if table.schema.names.count(one.name) == 1
+                (field, decoded(path, field.name, values.combine_chunks()))
+                for field, values in zip(table.schema, table.columns, strict=True)
+                if table.schema.names.count(field.name) == 1
             ]
 
 
@@ -371,7 +373,7 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
         name = topic.name if is_value and len(path) == 1 else whole
         texts = topic.texts.items()
         beside = [
-            said for at, said in texts if at[:-1] == path[:-1] and at[-1] in ("unit", "units")
+            word for at, word in texts if at[:-1] == path[:-1] and at[-1] in ("unit", "units")
         ]
         kind = topic.schema.split("/")[-1].split(".")[-1]
         unit = _STANDARD_UNITS.get((kind, text)) or next(iter(beside), "")
@@ -394,8 +396,8 @@ def _quality_beside(topic: Topic, path: FieldPath) -> Quality | None:
             for at, cells in beside.items()
             if at[:-1] == parent
         ]
-        if found := whole_row_quality(columns):
-            return found
+        if quality := whole_row_quality(columns):
+            return quality
     return None
 
 
@@ -418,9 +420,9 @@ def _stamp_paths(topic: Topic) -> list[FieldPath]:
 
 def _stamp(topics: Sequence[Topic]) -> tuple[FieldPath, TimeFormats] | None:
     """A stamp that all messages have, written alike."""
-    found = [dict(_stamps_of(topic)) for topic in topics]
-    stamps = found[0].items() if found else ()
-    return next((stamp for stamp in stamps if all(stamp in own.items() for own in found)), None)
+    by_topic = [dict(_stamps_of(topic)) for topic in topics]
+    stamps = by_topic[0].items() if by_topic else ()
+    return next((stamp for stamp in stamps if all(stamp in own.items() for own in by_topic)), None)
 
 
 def _stamps_of(topic: Topic) -> Iterator[tuple[FieldPath, TimeFormats]]:

@@ -153,7 +153,8 @@ def marks_of(cells: Iterable[str]) -> Marks:
     if not any(re.search(r"\D", cell.lstrip("+-")) for cell in numbers):
         return Marks()
     counts = {
-        marks: sum(bool(one.fullmatch(cell)) for cell in numbers) for marks, one in _NUMBERS.items()
+        marks: sum(bool(pattern.fullmatch(cell)) for cell in numbers)
+        for marks, pattern in _NUMBERS.items()
     }
     best = [marks for marks, count in counts.items() if count == max(counts.values())]
     first = best[0]
@@ -218,9 +219,9 @@ def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
 
     Of two digits of a year, which they take for the whole of it, the year is none of a log.
     """
-    found = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
-    is_read = (found.kind != 0) & (found.time_us >= EARLIEST_US)
-    return [utc(time_us) for time_us in found.time_us[is_read].tolist()]
+    times = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
+    is_read = (times.kind != 0) & (times.time_us >= EARLIEST_US)
+    return [utc(time_us) for time_us in times.time_us[is_read].tolist()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +245,7 @@ def time_formats(stamps: Sequence[str]) -> TimeFormats:
     >>> list(time_formats(["03/04/2025 06:00:00"]).readings.values())
     ['3 April 2025', '4 March 2025']
     """
-    has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", one) for one in stamps)
+    has_zone = bool(stamps) and all(re.search(rf"\d{_ZONE[:-1]}$", stamp) for stamp in stamps)
     if stamps and all(map(_ISO.fullmatch, stamps)):
         return TimeFormats({"iso8601": ""}, has_zone)
     ends = stamps[:: max(len(stamps) - 1, 1)]
@@ -281,7 +282,7 @@ def count_format(numbers: Sequence[float]) -> str | None:
 def timed(table: Table) -> Table:
     """The table with its time found, and without the columns of the time."""
     named = sorted(table.columns, key=lambda column: not is_time_name(column.name))
-    of_kind = {kind: [one for one in named if one.kind == kind] for kind in TIMES}
+    of_kind = {kind: [column for column in named if column.kind == kind] for kind in TIMES}
     times, formats = named[:1], TimeFormats({})
     if of_kind["typed"]:
         times = of_kind["typed"][:1]
@@ -290,12 +291,12 @@ def timed(table: Table) -> Table:
         times = of_kind["stamp"][:1] or [of_kind["clock"][0], of_kind["date"][0]]
         formats = _formats(table, times[::-1])
     else:
-        for one in named:
-            counts = [as_number(cell, table.marks) for cell in one.filled]
-            is_time = is_time_name(one.name) or one is table.columns[0]
+        for column in named:
+            counts = [as_number(cell, table.marks) for cell in column.filled]
+            is_time = is_time_name(column.name) or column is table.columns[0]
             known = [number for number in counts if number is not None]
-            if one.kind == "number" and is_time and (form := count_format(known)):
-                times, formats = [one], TimeFormats({form: ""}, form in EPOCH_UNITS)
+            if column.kind == "number" and is_time and (form := count_format(known)):
+                times, formats = [column], TimeFormats({form: ""}, form in EPOCH_UNITS)
                 break
     logs, questions, names = (
         dict(table.logs),
@@ -317,9 +318,9 @@ def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     """Formats of stamps in a column, or in those of date and time."""
     cells = zip(*(column.cells for column in columns), strict=True)
     stamps = [stamp for row in cells if is_stamp(stamp := " ".join(row))][:SAMPLES]
-    found = time_formats(stamps)
-    if len(found.readings) < 2:
-        return found
+    formats = time_formats(stamps)
+    if len(formats.readings) < 2:
+        return formats
     # Some stamps from further on tell day from month.
     later = islice(table.rows([column.name for column in columns]), HEAD_ROWS, 200_000, 1000)
     more = [stamp for row in later if is_stamp(stamp := " ".join(row))]
@@ -334,8 +335,8 @@ def set_formats(logs: dict[str, Any], questions: list[Question], formats: TimeFo
     elif form := next(iter(readings)):
         logs["time_format"] = form
     if len(readings) > 1:
-        said = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
-        questions.append(Question("time_format", f"does it begin on {said}?", tuple(readings)))
+        days = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
+        questions.append(Question("time_format", f"does it begin on {days}?", tuple(readings)))
     if not formats.has_zone:
         logs["time_zone"] = "UTC"
         questions.append(Question("time_zone", "the stamps name no zone, such as Europe/Oslo"))

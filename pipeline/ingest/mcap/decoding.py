@@ -126,14 +126,14 @@ def one_by_one(
 
     `values` are the functions of a message by path.
     """
-    found = {
+    by_path = {
         path: [None if message is None else value(message) for message in messages]
         for path, value in values.items()
     }
     broken = np.array([message is None for message in messages], np.bool_)
-    fields = {path: _readings(found[path], broken, example) for path in wanted.readings}
-    words = {path: pa.array(map(_word, found[path]), pa.string()) for path in wanted.qualities}
-    stamps = None if wanted.stamp is None else stamps_of(found[wanted.stamp], wanted.time_format)
+    fields = {path: _readings(by_path[path], broken, example) for path in wanted.readings}
+    words = {path: pa.array(map(_word, by_path[path]), pa.string()) for path in wanted.qualities}
+    stamps = None if wanted.stamp is None else stamps_of(by_path[wanted.stamp], wanted.time_format)
     return Decoded(fields, stamps, words)
 
 

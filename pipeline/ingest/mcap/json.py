@@ -71,7 +71,9 @@ def json_decoder(wanted: Wanted) -> Decoder:
             return decoded
         messages = list(map(json_object, payloads.each()))
         broken = (
-            one for one, message in zip(payloads.each(), messages, strict=True) if not message
+            payload
+            for payload, message in zip(payloads.each(), messages, strict=True)
+            if not message
         )
         return one_by_one(messages, wanted, values, repr(next(broken, b""))[:60])
 
@@ -100,7 +102,7 @@ def _at_once(payloads: Payloads, wanted: Wanted) -> Decoded | None:
 
 
 def _stamp_types(first: Any, wanted: Wanted) -> dict[FieldPath, pa.DataType] | None:
-    """Types of the stamp's parts, by path, as the first message has it; None: it tells no type."""
+    """Types of the stamp's parts, by path, as the first message has it; None: no type is known."""
     if wanted.stamp is None:
         return {}
     stamp = value_at(first, wanted.stamp)
@@ -153,7 +155,9 @@ def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:
             node = node.setdefault(step, {})
             if not isinstance(node, dict):
                 return None
-        if node.setdefault(path[-1], kind) is not kind or any(isinstance(one, int) for one in path):
+        if node.setdefault(path[-1], kind) is not kind or any(
+            isinstance(part, int) for part in path
+        ):
             return None
     return pa.schema(list(_struct(tree)))
 
@@ -214,10 +218,10 @@ def _one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray
             return None
         # With the byte before each.
         cells = column(text, len(before), f"V{width + 1}", size).view(np.uint8)
-        found = _decimals(cells, width + 1)
-        if found is None:
+        figures = _decimals(cells, width + 1)
+        if figures is None:
             return None
-        numbers[rows] = found
+        numbers[rows] = figures
     return numbers
 
 
@@ -225,8 +229,8 @@ def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[byte
     """Text before and behind the wanted number of a message."""
     if len(first) > _LONGEST:
         return None
-    for found in islice(_NUMBER.finditer(first), _MOST_NUMBERS):
-        before, behind = first[: found.start()], first[found.end() :]
+    for match in islice(_NUMBER.finditer(first), _MOST_NUMBERS):
+        before, behind = first[: match.start()], first[match.end() :]
         if all(value(before + b"%g" % other + behind) == other for other in (1, -20.5)):
             return before, behind
     return None
@@ -234,8 +238,8 @@ def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[byte
 
 def _stand(text: memoryview, at: int, expected: bytes, size: int) -> bool:
     """True if the very bytes stand at a place in each row of a size."""
-    found = column(text, at, f"V{len(expected)}", size).tobytes()
-    return found == expected * (len(text) // size)
+    actual = column(text, at, f"V{len(expected)}", size).tobytes()
+    return actual == expected * (len(text) // size)
 
 
 def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | None:

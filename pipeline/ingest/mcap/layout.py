@@ -95,12 +95,12 @@ class Declared:
 def _pairs(content: bytes, at: int) -> tuple[tuple[str, str], ...]:
     """Return the texts of a map, or none where a writer left it out."""
     packed = _bytes(content, at)[0] if at < len(content) else b""
-    found, place = list[tuple[str, str]](), 0
+    pairs, place = list[tuple[str, str]](), 0
     while place < len(packed):
         key, place = _text(packed, place)
         value, place = _text(packed, place)
-        found.append((key, value))
-    return tuple(found)
+        pairs.append((key, value))
+    return tuple(pairs)
 
 
 class Statistics(NamedTuple):

@@ -55,12 +55,12 @@ def _read(file: LogFile) -> RawLog:
         topic.require_all(messages)  # the last piece knows all channels
     every = [topic.rows.stamps(file.logs.time_zone) for topic in topics]
     stamps, refused = judged(file.path, every, _time_name(file.logs), file.latest_us)
-    found: dict[str, RawChannel] = {}
+    by_name: dict[str, RawChannel] = {}
     for topic, own in zip(topics, stamps, strict=True):
-        found |= topic.raw_channels(own)
+        by_name |= topic.raw_channels(own)
     rows = sum(int(np.count_nonzero(own.readable)) for own in stamps)
     refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
-    in_order: dict[str, RawChannel] = {name: found[name] for name in file.channels}
+    in_order: dict[str, RawChannel] = {name: by_name[name] for name in file.channels}
     return raw_log(in_order, rows, refused, [messages.loss] if messages.loss else [])
 
 
@@ -167,7 +167,10 @@ class _Topic:
         rows = messages.rows_of(self.name)
         if rows.size:
             self.held.append(payloads_of(messages, rows, times))
-            held = (one.text.size + _COST_OF_MESSAGE * one.length.size for one in self.held)
+            held = (
+                payloads.text.size + _COST_OF_MESSAGE * payloads.length.size
+                for payloads in self.held
+            )
             if sum(held) >= _PIECE:
                 self.decode()
 
@@ -195,20 +198,20 @@ class _Topic:
         qualities = {quality: decoded.qualities[path] for quality, path in self.qualities.items()}
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first
-        # Elsewhere, a schema has told which fields there are.
+        # Elsewhere, a schema has reported which fields there are.
         if self.unseen and self.kind == _JSON:
             self._look_for_fields(payloads, decoded)
 
     def _look_for_fields(self, payloads: Payloads, decoded: Decoded) -> None:
-        told = {
+        filled = {
             path
             for path, field in decoded.fields.items()
             if (field.unparsed | ~field.missing).any()
         }
-        told |= {
+        filled |= {
             path for path, quality in decoded.qualities.items() if quality.null_count < len(quality)
         }
-        self.unseen = [path for path in self.unseen if path not in told]
+        self.unseen = [path for path in self.unseen if path not in filled]
         # One that is null is there, too.
         for payload in payloads.each():
             if not self.unseen:
@@ -234,5 +237,5 @@ class _Topic:
 
     def raw_channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
         """Its channels at these stamps; the readings are given up."""
-        kept = chosen_rows(stamps.readable)
-        return self.rows.channels_at(dict.fromkeys(self.channels, (kept, stamps.time_us[kept])))
+        rows = chosen_rows(stamps.readable)
+        return self.rows.channels_at(dict.fromkeys(self.channels, (rows, stamps.time_us[rows])))

@@ -1,7 +1,7 @@
 """The messages of an MCAP file: arrays of their times, channels, and places of their payloads.
 
 Messages stand bare in the data section, or in compressed chunks, which hold records again. Only
-stepping from length to length is done record by record, and that only where no index tells the
+stepping from length to length is done record by record, and that only where no index has the
 steps; all fields are then taken at once.
 """
 
@@ -188,8 +188,8 @@ def _data_section(
     checksum, place, is_whole = zlib.crc32(MAGIC), len(MAGIC), False
     for block, offsets in _blocks(path, file, end):
         opcodes = np.frombuffer(block, np.uint8)[offsets]
-        found = np.flatnonzero(opcodes == DATA_END)[:1].tolist()
-        for last in found:
+        end_records = np.flatnonzero(opcodes == DATA_END)[:1].tolist()
+        for last in end_records:
             stop = offsets[last + 1] if last + 1 < len(offsets) else len(block)
             _require_checksum(
                 path, block[offsets[last] : stop], zlib.crc32(block[: offsets[last]], checksum)
@@ -263,8 +263,8 @@ def _messages_of_block(
 
     for before, chunk in pairwise([-1, *chunks, len(offsets)]):
         stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
-        kept = offsets[before + 1 : chunk]
-        yield _messages(path, block, kept, stop, declared, place + stop)
+        bare = offsets[before + 1 : chunk]
+        yield _messages(path, block, bare, stop, declared, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"

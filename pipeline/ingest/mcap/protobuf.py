@@ -40,15 +40,17 @@ def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> 
     message_class, decode_error = _message_class(path, schema)
     descriptor = message_class.DESCRIPTOR
     values: dict[FieldPath, Value] = {}
-    for one in (*wanted.readings, *wanted.qualities, *([wanted.stamp] if wanted.stamp else [])):
+    for field in (*wanted.readings, *wanted.qualities, *([wanted.stamp] if wanted.stamp else [])):
         try:
-            values[one] = _value(descriptor, one, stamp=one == wanted.stamp)
+            values[field] = _value(descriptor, field, stamp=field == wanted.stamp)
         except LookupError as error:
             there = ", ".join(map(repr, islice(_names(descriptor, ()), _MOST_NAMES)))
-            how = f"messages of topic {topic!r} have no field {path_text(one)!r}; there are {there}"
+            how = (
+                f"messages of topic {topic!r} have no field {path_text(field)!r}; there are {there}"
+            )
             raise LogError("log_column_missing", path, how, topic) from error
         except TypeError as error:
-            how = f"field {path_text(one)!r} is no number but {error}"
+            how = f"field {path_text(field)!r} is no number but {error}"
             raise LogError("log_type", path, how, topic) from error
 
     def message(payload: bytes) -> Any:
@@ -61,8 +63,8 @@ def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> 
         return one_by_one(list(map(message, payloads.each())), wanted, values, _BROKEN)
 
     def tree(payload: bytes) -> Any:
-        found = message(payload)
-        return None if found is None else _tree(found)
+        content = message(payload)
+        return None if content is None else _tree(content)
 
     return Decoder(decode, tree)
 
@@ -170,7 +172,7 @@ def _tree(node: Any) -> Any:
     if hasattr(node, "items"):
         return {_key_text(key): _tree(value) for key, value in node.items()}
     if hasattr(node, "__len__") and not isinstance(node, str | bytes):
-        return [_tree(one) for one in node]
+        return [_tree(item) for item in node]
     return int(node) if isinstance(node, bool) else node
 
 

@@ -330,10 +330,10 @@ def _at_once(
                 place = value_at(tree, path)
                 if not isinstance(place, _Place):
                     return None
-                found = column(text, place.at + 1, place.kind.replace("?", "u1"), size)[own]
-                found = found != 0 if place.kind == "?" else found
-                empty = np.empty(payloads.length.size, found.dtype.newbyteorder("="))
-                numbers.setdefault(path, empty)[rows[own]] = found
+                values = column(text, place.at + 1, place.kind.replace("?", "u1"), size)[own]
+                values = values != 0 if place.kind == "?" else values
+                empty = np.empty(payloads.length.size, values.dtype.newbyteorder("="))
+                numbers.setdefault(path, empty)[rows[own]] = values
             if not left.size:
                 break
         else:

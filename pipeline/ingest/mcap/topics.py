@@ -60,7 +60,7 @@ def read_topics(path: Path) -> list[Topic]:
                 )
         for topic in topics.values():
             _take(topic, messages)
-        whole = all(len(one.payloads) >= MESSAGES_READ for one in topics.values())
+        whole = all(len(topic.payloads) >= MESSAGES_READ for topic in topics.values())
         if (whole and summary.declared.channels) or messages.read_to > _MOST_BYTES:
             break
     for name, topic in topics.items():
@@ -78,14 +78,14 @@ def _take(topic: Topic, messages: Messages) -> None:
 def _decode(path: Path, topic: Topic, schema: Schema) -> None:
     decoder = decoder_of(path, topic.name, topic.encoding, schema, Wanted(()))
     trees = [decoder.tree(payload) for payload in topic.payloads]
-    found = [leaf for tree in trees if tree is not None for leaf in leaves(tree)]
-    numbers = [at for at, value in found if at and number_of(value) is not None]
+    pairs = [leaf for tree in trees if tree is not None for leaf in leaves(tree)]
+    numbers = [at for at, value in pairs if at and number_of(value) is not None]
     topic.fields = {
         at: tuple(np.array([number_of(value_at(tree, at)) for tree in trees], np.float64).tolist())
         for at in list(dict.fromkeys(numbers))[:_MOST_FIELDS]
     }
     whole = [tree for tree in reversed(trees) if tree is not None]
-    topic.texts = {at: one for tree in whole for at, one in leaves(tree) if isinstance(one, str)}
+    topic.texts = {at: text for tree in whole for at, text in leaves(tree) if isinstance(text, str)}
 
 
 def _metadata_units(channel: ChannelRecord) -> Iterator[tuple[FieldPath, str]]:
