@@ -37,5 +37,5 @@ def agreed_lag(fits: Iterable[Mapping[str, Any]]) -> tuple[float, float] | None:
     if not rows or None in lags:
         return None
     lag, gain = median(lags), median(row["drain_lag_gain_percent"] for row in rows)
-    agree = max(abs(one - lag) for one in lags) <= AGREEING_S
+    agree = max(abs(other - lag) for other in lags) <= AGREEING_S
     return (round(lag, 2), gain) if agree and lag > 0.0 and gain >= LEAST_GAIN_PERCENT else None
