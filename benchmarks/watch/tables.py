@@ -101,7 +101,7 @@ def _first(event: Event, told: Outcome) -> dict[str, Any]:
     is_change = event.begin is not None
     # Nothing has a size where nothing changes; odd nights are no change that stays.
     is_sized = is_change and cause != "odd_nights"
-    is_near = cause == "cannot_be_told" or cause in event.near
+    is_near = cause == "not_identified" or cause in event.near
     return {
         "night": told["night"] - (event.begin or 0) + 1,  # the change's first being 1
         "cause": cause,

@@ -21,7 +21,7 @@ from leakage.watch.attribution import (
 from leakage.watch.baseline import N_TEMPERATURE, Baseline, baseline_of
 from leakage.watch.causes import (
     BACK,
-    CANNOT_BE_TOLD,
+    NOT_IDENTIFIED,
     ODD_NIGHTS,
     TANK,
     TEMPERATURE_EFFECT,
@@ -172,7 +172,7 @@ def in_force_of(
     lower, since, upper = attribution.since
     if prior is not None and goes_on:
         since, lower, upper = prior.change.dates
-        if cause == CANNOT_BE_TOLD:
+        if cause == NOT_IDENTIFIED:
             cause, probability = prior.change.cause, prior.change.probability
             alike = alike or prior.change.alike
     growth = state.growth_of(cause, attribution.leakage)
@@ -212,7 +212,7 @@ def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> N
     before = state.in_force
     is_open = before is None or before.attribution is None or not before.change.candidates
     if is_open and state.evidence < state.settings.limit:
-        return replace(name, cause=CANNOT_BE_TOLD, probability=0.0, candidates={}, alike=())
+        return replace(name, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
     return name
 
 
@@ -220,7 +220,7 @@ def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
     """Return whether a change goes on, by sign and cause; a ramp, by what may be its cause."""
     if before.is_rise != is_rise or ODD_NIGHTS in (before.cause, name.cause):
         return False
-    if CANNOT_BE_TOLD not in (before.cause, name.cause):
+    if NOT_IDENTIFIED not in (before.cause, name.cause):
         return before.cause == name.cause
     if name.candidates.get(SEVERAL, 0.0) >= choices.MOSTLY:
         return False

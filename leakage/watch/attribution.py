@@ -17,9 +17,9 @@ from leakage.watch.causes import (
     ALL_GAPS,
     AND,
     BACK,
-    CANNOT_BE_TOLD,
     COMMON,
     NO_LEAKAGE,
+    NOT_IDENTIFIED,
     TEMPERATURE_EFFECT,
     Cause,
 )
@@ -300,7 +300,7 @@ def _identified(
         return TEMPERATURE_EFFECT, by_name[TEMPERATURE_EFFECT]
     group, probability = max(groups.items(), key=lambda item: item[1])
     if probability < choices.NAMED or SEVERAL in group:
-        return CANNOT_BE_TOLD, probability
+        return NOT_IDENTIFIED, probability
     if BACK in group and by_name[BACK] >= choices.MOSTLY * probability:
         return BACK, probability
     group -= {BACK}
@@ -311,4 +311,4 @@ def _identified(
         is_warmth = likeliest == TEMPERATURE_EFFECT
         return (TEMPERATURE_EFFECT if is_warmth else ALL_FLOWS), probability
     # One gap or all, or all gaps or all flows.
-    return CANNOT_BE_TOLD, probability
+    return NOT_IDENTIFIED, probability

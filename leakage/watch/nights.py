@@ -126,7 +126,7 @@ class Change:
 
     # cause, probability: A path's name, ``all_gaps``, ``all_flows``, ``oil_grade``,
     # ``temperature_sensor``, ``temperature_effect``, ``flushing``, ``back_as_before``,
-    # ``odd_nights``, ``tank`` or ``cannot_be_told``; its probability, where it cannot be identified
+    # ``odd_nights``, ``tank`` or ``not_identified``; its probability, where it cannot be identified
     # that of the likeliest.
     cause: str
     probability: float

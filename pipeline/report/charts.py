@@ -315,7 +315,7 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
     detected = motor.rows.filter(pl.col("detected_on").is_not_null(), ~pl.col("still_rising"))
     last = detected.unique("detected_on", keep="last", maintain_order=True)
     for night, cause in last.select("detected_on", "cause").iter_rows():
-        what = "cause not known" if cause == "cannot_be_told" else cause_words(cause)
+        what = "cause not known" if cause == "not_identified" else cause_words(cause)
         yield Mark(night, f"change detected: {what}", ORANGE)
     for row in changes:
         if what_of(row) == LEAKAGE and row["to_state"] == "alarm" != row["from_state"]:

@@ -37,7 +37,7 @@ WHAT = {
     "odd_nights": "single nights deviate, again and again",
     "tank": "all flows have {risen} as those of the oil circuit's other motors",
     "a_part": "leakage of a part of the motor has {risen}",
-    "cannot_be_told": "leakage has {risen}, cause not identified",
+    "not_identified": "leakage has {risen}, cause not identified",
 }
 CAUSES = {
     "all_gaps": "all gaps",
@@ -167,7 +167,7 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
 
 def _no_part_is_named(night: NightState) -> bool:
     """Return True where the model is the reason, be it for a change in force or for any."""
-    unnamed = night.change is not None and night.change.cause == "cannot_be_told"
+    unnamed = night.change is not None and night.change.cause == "not_identified"
     return night.model_verdict == "disproved" or (unnamed and night.model_verdict == "doubtful")
 
 
@@ -194,7 +194,7 @@ def _advice_on(night: NightState, change: Change) -> str:
         return ADVICE[change.cause]
     if not change.is_rise:
         return FALL
-    if change.cause == "cannot_be_told" or not is_of_parts(change.cause):
+    if change.cause == "not_identified" or not is_of_parts(change.cause):
         return _to_identify(night, change)
     if change.cause == "all_gaps":
         return "Take an oil sample: all gaps at once are rare."
@@ -305,7 +305,7 @@ def _beside_circuit(night: NightState, change: Change) -> str:
 def _others(change: Change) -> str:
     """Return what it could be, with probabilities."""
     several = sorted(change.candidates.items(), key=lambda item: -item[1])
-    if change.cause == "cannot_be_told":
+    if change.cause == "not_identified":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
         return f"possible: {', '.join(left)}" if left else ""
     left = [
@@ -348,7 +348,7 @@ def headline(row: Mapping[str, Any]) -> str:
     --------
     >>> ends = ("percent", "lower", "upper")
     >>> row = {f"leakage_change_{end}": of for end, of in zip(ends, (42.8, 38.5, 47.1))}
-    >>> row |= {"cause": "cannot_be_told", "onset": "2026-02-03"}
+    >>> row |= {"cause": "not_identified", "onset": "2026-02-03"}
     >>> headline(row)
     'leakage +43 % [38, 47] since 3 February 2026, part not identified'
     """
@@ -362,7 +362,7 @@ def headline(row: Mapping[str, Any]) -> str:
 
 def part_of(cause: str) -> str:
     """Return the part that a cause names, in words."""
-    return "part not identified" if cause in ("cannot_be_told", "a_part") else cause_words(cause)
+    return "part not identified" if cause in ("not_identified", "a_part") else cause_words(cause)
 
 
 def in_percent(value: float, lower: float, upper: float) -> str:

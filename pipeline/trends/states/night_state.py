@@ -14,8 +14,8 @@ from leakage.watch.causes import (
     ALL_GAPS,
     AND,
     BACK,
-    CANNOT_BE_TOLD,
     NO_LEAKAGE,
+    NOT_IDENTIFIED,
     ODD_NIGHTS,
     TANK,
     TEMPERATURE_EFFECT,
@@ -155,7 +155,7 @@ def _as_shown(change: Change, night: NightState) -> Change:
 
     alike, cause, probability = shown(change.alike), change.cause, change.probability
     is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
-    is_class = is_prior or cause == CANNOT_BE_TOLD or is_disproved
+    is_class = is_prior or cause == NOT_IDENTIFIED or is_disproved
     # A name that the nights tell from its like stands alone.
     alike = alike if is_class else frozenset()
     of_class = ONE_OF.join(sorted(alike))
@@ -170,11 +170,11 @@ def _as_shown(change: Change, night: NightState) -> Change:
     candidates = {name: p for name, p in candidates.items() if p > LEAST_PROBABILITY}
     candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
     if cause not in NOT_OF_SHAPE and is_class:
-        likeliest, share = next(iter(candidates.items()), (CANNOT_BE_TOLD, 0.0))
+        likeliest, share = next(iter(candidates.items()), (NOT_IDENTIFIED, 0.0))
         if share >= NAMED and likeliest != SEVERAL:
             cause, probability = likeliest, share
         elif is_prior or A_PART in shown(parts_of(cause, machine.gaps)):
-            cause, probability = CANNOT_BE_TOLD, share
+            cause, probability = NOT_IDENTIFIED, share
     has_growth = cause == change.cause and not is_disproved
     growth = change.path_growth if has_growth else None
     return replace(

@@ -171,7 +171,7 @@ def test_nights_beyond_the_detection_limit_are_counted_and_their_cause_is_open(b
     for reached, is_open in ((0.1, False), (-0.1, True)):
         asked = replace(state, evidence=state.settings.limit + reached)
         change = in_force_of(asked, evidence, found, state.day).change
-        assert (change.cause == "cannot_be_told" and not change.candidates) == is_open
+        assert (change.cause == "not_identified" and not change.candidates) == is_open
         assert change.is_rise == (by > 0.0)
 
 

@@ -157,7 +157,7 @@ def test_a_step_is_told_with_its_cause_its_size_and_its_begin(
     assert last.size.value == pytest.approx(flow, rel=0.1)
     # Where it cannot be identified, the right one is the likeliest: never another.
     is_of_all_flows = plant in (METER, OIL, SENSOR)
-    assert last.cause == cause or (is_of_all_flows and last.cause == "cannot_be_told")
+    assert last.cause == cause or (is_of_all_flows and last.cause == "not_identified")
     assert next(iter(last.candidates)) == cause
     assert last.grade == (46 if cause == "oil_grade" else None)
     if cause == "sleeve":
@@ -249,7 +249,7 @@ def test_a_second_change_keeps_its_own_size(seed: int) -> None:
     for watch in watches:
         change = watch.verdict().change
         if change is not None and change.since >= 58:
-            assert change.cause in ("piston", "cannot_be_told")
+            assert change.cause in ("piston", "not_identified")
             assert change.size.value == pytest.approx(
                 0.3 * SHARES[1] / (1.0 + 0.3 * SHARES[2]), abs=0.015
             )
@@ -283,7 +283,7 @@ def test_two_causes_at_once_are_several_and_named_as_none(seed: int) -> None:
     both = np.array([1.43, 1.1, 1.1, 1.1])
     plant = Plant(growth=lambda night: both if night >= BEGIN else 1.0)
     change = watched(plant.nights(40, seed), first=FIRST)[-1].verdict().change
-    assert change.cause == "cannot_be_told"
+    assert change.cause == "not_identified"
     assert next(iter(change.candidates)) == "several"
     assert change.size.value == pytest.approx(0.10 + 0.33 * SHARES[0], abs=0.012)
 
@@ -293,7 +293,7 @@ def test_at_one_pressure_no_gap_is_named(seed: int) -> None:
     plant = Plant(operating_point="one pressure", growth=grown("sleeve", 0.30, BEGIN))
     watches = watched(plant.nights(45, seed), first=FIRST)
     changes = [change for watch in watches if (change := watch.verdict().change)]
-    assert {change.cause for change in changes} == {"cannot_be_told"}
+    assert {change.cause for change in changes} == {"not_identified"}
     # One gap or all of them: together likely, each alone not.
     assert min(change.probability for change in changes) > 0.8
     at = drives(np.array([50.0, 180.0, 30.0])) * COEFFICIENTS
@@ -312,7 +312,7 @@ def test_size_on_a_machine_that_is_not_the_fitted_one(seed: int) -> None:
         of_flow(np.array([0.2, 0.2, 0.2, 0.0]), "turbulent"), abs=0.02
     )
     assert {c.cause for watch in watches if (c := watch.verdict().change)} <= {
-        "cannot_be_told",
+        "not_identified",
         "all_gaps",
     }
 
@@ -326,7 +326,7 @@ def test_a_name_is_careful_where_the_model_is_wrong(seed: int) -> None:
         for film in ("barus", "turbulent")
     )
     assert (right.cause, round(right.probability, 2)) == ("piston", 1.0)
-    assert wrong.cause == "cannot_be_told"
+    assert wrong.cause == "not_identified"
 
 
 def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:

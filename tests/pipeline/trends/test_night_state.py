@@ -84,7 +84,7 @@ FAR = change(SLEEVE, size=Estimate(0.32, 0.01))
     ("found", "more", "expected"),
     [
         (None, {}, "ok"),
-        *((change(cause), {}, "warning") for cause in (SLEEVE, "all_flows", "cannot_be_told")),
+        *((change(cause), {}, "warning") for cause in (SLEEVE, "all_flows", "not_identified")),
         # 30 % by default: 1.96 standard deviations below 32 % it is, 1.9 below it is not yet.
         (FAR, {}, "alarm"),
         (FAR, {"present": Estimate(0.3 + 1.9 * 0.01, 0.01)}, "warning"),
@@ -130,9 +130,9 @@ def test_limits_of_the_motor_type_count_with_97_percent(leakage: float, expected
     ("cause", "lack", "named"),
     [
         (SLEEVE, 0.05, SLEEVE),
-        (SLEEVE, 0.06, "cannot_be_told"),
-        ("balance_sleeve and piston_ring", 0.06, "cannot_be_told"),
-        ("all_gaps", 0.06, "cannot_be_told"),
+        (SLEEVE, 0.06, "not_identified"),
+        ("balance_sleeve and piston_ring", 0.06, "not_identified"),
+        ("all_gaps", 0.06, "not_identified"),
         ("all_flows", 0.2, "all_flows"),
     ],
 )
@@ -208,7 +208,7 @@ MISSED = "% of the flow, so no part is named"
             "Take an oil sample, or enter the oil_change that was made.",
         ),
         (
-            change("cannot_be_told", candidates=SEVERAL), 0.005,
+            change("not_identified", candidates=SEVERAL), 0.005,
             UNTOLD,
             "possible: balance sleeve 55 %, another oil 40 %, the zero of the flow sensor 5 %",
             "An oil sample, the meter's zero at a halt, a second thermometer and nights at other "
@@ -221,7 +221,7 @@ MISSED = "% of the flow, so no part is named"
             "Plan an inspection of the motor.",
         ),
         (
-            change("cannot_be_told", candidates={"all_flows": 0.6, SLEEVE: 0.4}), 0.03,
+            change("not_identified", candidates={"all_flows": 0.6, SLEEVE: 0.4}), 0.03,
             UNTOLD,
             "possible: all flows (all gaps worn, another oil, the flow meter) 60 %, balance "
             f"sleeve 40 %; the model misses 3 {MISSED}",
@@ -229,7 +229,7 @@ MISSED = "% of the flow, so no part is named"
             "cause.",
         ),
         (
-            change("cannot_be_told", candidates={}, probability=0.0), 0.005,
+            change("not_identified", candidates={}, probability=0.0), 0.005,
             UNTOLD, "", "Plan an inspection of the motor.",
         ),
         (
@@ -239,7 +239,7 @@ MISSED = "% of the flow, so no part is named"
             "probability 98 %", "Plan an inspection of the balance piston and the balance sleeve.",
         ),
         (
-            change("cannot_be_told", alike=("oil_grade", SLEEVE),
+            change("not_identified", alike=("oil_grade", SLEEVE),
                    candidates={SLEEVE: 0.5, "oil_grade": 0.48, "zero": 0.02}), 0.09,
             "leakage has risen through one or more of: a part of the motor, another oil",
             f"probability 98 %; the model misses 9 {MISSED}",
@@ -247,7 +247,7 @@ MISSED = "% of the flow, so no part is named"
             "cause.",
         ),
         (
-            change("cannot_be_told", candidates={"several": 0.9, SLEEVE: 0.1}), 0.005,
+            change("not_identified", candidates={"several": 0.9, SLEEVE: 0.1}), 0.005,
             UNTOLD, "possible: more than one change at once 90 %, balance sleeve 10 %",
             "Take an oil sample first, and check the flow meter; then plan an inspection of the "
             "motor.",
@@ -311,7 +311,7 @@ def test_an_alarm_asks_for_an_inspection_at_the_next_stop() -> None:
     assert told(alarm)[1] == "Inspect the balance sleeve at the next stop."
 
 
-@pytest.mark.parametrize("cause", [SLEEVE, "all_gaps", "all_flows", "cannot_be_told"])
+@pytest.mark.parametrize("cause", [SLEEVE, "all_gaps", "all_flows", "not_identified"])
 def test_a_fall_is_told_as_a_fall(cause: str) -> None:
     words, what = told(judge(watched(change(cause, is_rise=False, size=Estimate(-0.2, 0.01)))))
     assert "-20 % [-22, -18]" in words
@@ -335,7 +335,7 @@ def test_a_sensor_that_drifts_is_named_and_what_to_do_is_one_order() -> None:
 
 
 def test_an_alarm_carries_an_order_whatever_the_name_and_a_flushing_is_none() -> None:
-    for cause in ("cannot_be_told", "all_flows", "oil_grade", "all_gaps"):
+    for cause in ("not_identified", "all_flows", "oil_grade", "all_gaps"):
         alarm = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
         assert (alarm.state, told(alarm)[1]) == ("alarm", "Inspect the motor at the next stop.")
     for cause in ("flushing", "zero"):
@@ -360,7 +360,7 @@ def test_a_night_alone_beyond_the_detection_limit_is_said() -> None:
     [
         (SLEEVE, {}, True),
         ("all_flows", {}, True),
-        ("cannot_be_told", {"candidates": {}}, True),
+        ("not_identified", {"candidates": {}}, True),
         ("temperature_sensor", {}, False),
         ("flushing", {}, False),
         ("tank", {}, False),
