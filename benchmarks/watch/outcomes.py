@@ -104,7 +104,7 @@ def _told(detected_on: int, said: Sequence[tuple[int, Change]], true: Array, cel
     return {
         "night": night,
         "is_notice": not alarms,
-        "goes_on": first.goes_on,
+        "continues": first.continues,
         "first": _named(first),
         "cause": _named(settled),
         "since": [settled.since_lower, settled.since, settled.since_upper],

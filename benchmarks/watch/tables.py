@@ -64,7 +64,7 @@ def _row(cell: Cell, motor: Outcome) -> dict[str, Any]:
     event, told = cell.event, motor["told"]
     since, reached = max(cell.baseline, event.begin or 0), motor["reached"]
     # What was detected as an alarm and was not told before.
-    alarms = [one["night"] for one in told if not (one["is_notice"] or one["goes_on"])]
+    alarms = [one["night"] for one in told if not (one["is_notice"] or one["continues"])]
     # Detected first of the change, or since the baseline: an alarm, or a notice that is right; the
     # same again, where it was detected before the change.
     tells = (one for one in told if not one["is_notice"] or one["first"][0] in event.right)

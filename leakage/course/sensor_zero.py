@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 
 from leakage.arrays import Array, Mask, Places
 
-# Halts at the beginning, and as many at the end, that a drift is told from.
+# Halts at the beginning, and as many at the end, that a drift is estimated from.
 LEAST_HALTS = 5
 MOST_HALTS = 30
 COVERAGE = 0.95

@@ -19,7 +19,7 @@ from leakage.arrays import Array
 
 Nights = NDArray[np.int64]
 
-# Above this, a series of nights is hardly told from a trend.
+# Above this, a series of nights hardly differs from a trend.
 HIGHEST_PHI = 0.95
 # Pairs of residuals that an estimate of φ needs.
 LEAST_PAIRS = 10

@@ -257,7 +257,7 @@ class LeakageJudgement:
 
     leakage_l_per_min: float  # Estimate without bounds [l/min].
     interval: Interval | None  # Its 95 % interval; None where there is none.
-    # ``identified``, ``uncertain``, ``extrapolated`` or ``fixed``, which are told;
+    # ``identified``, ``uncertain``, ``extrapolated`` or ``fixed``, which are published;
     # ``not_identified``, ``outside_fitted_range`` or ``too_little_data``, which are not.
     verdict: str
     reason: str  # In words; empty where identified.

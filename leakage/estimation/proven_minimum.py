@@ -45,7 +45,7 @@ class ProvenMinimum:
     # θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
     coefficients: Array
     # θ without its bounds, of least norm where columns depend on each other; shape (p + 1,).
-    # A leakage is told by it: what a bound takes from one coefficient it gives to the others,
+    # A leakage is computed from it: what a bound takes from one coefficient it gives to the others,
     # which is right for their gaps and wrong for the sum.
     unbounded: Array
     cost: float  # V(θ) [(l/min)²]
@@ -210,7 +210,7 @@ class Fit:
 
     @property
     def unbounded(self) -> Array:
-        """θ without its bounds, by which leakages are told; shape (p + 1,)."""
+        """θ without its bounds, from which leakages are computed; shape (p + 1,)."""
         return self.proven_minimum.unbounded
 
     @property

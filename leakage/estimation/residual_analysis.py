@@ -122,7 +122,7 @@ class ResidualAnalysis:
     whiteness: LagTest  # autocorrelation of the errors
     independence: Mapping[str, LagTest]  # cross-correlation with each input, by its name
     # Equivalent number of independent samples, by the sum of the errors' correlations; None
-    # where they remember for longer than can be told, or are not tested.
+    # where they remember for longer than can be estimated, or are not tested.
     n_effective: float | None
 
     @property
@@ -226,7 +226,7 @@ class _Errors:
     pairs: Array  # N_k, shape (k,)
     is_known: Mask  # lags of which enough pairs tell, shape (k,)
     correlations: Array  # 0 where too few pairs tell, shape (k,)
-    effective_share: float | None  # independent samples, over all; None if not to be told
+    effective_share: float | None  # independent samples, over all; None if not to be estimated
     # Inner samples on the time base; how many of them another one follows, shape (51,); the
     # spectra of their errors; and places of some of them.
     n_inner: int

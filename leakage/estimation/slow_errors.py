@@ -127,7 +127,7 @@ def slow_errors(
     whole: Array | None = None,
     scales: bool | None = None,
 ) -> SlowErrors:
-    """Memory, size and direction of slow errors; without memory where nothing can be told of it.
+    """Memory, size and direction of slow errors; without memory where it cannot be estimated.
 
     `factors, number`: Triangular factors of the blocks in time order, shape (b, c, c), and the
     place of each on the clock, in blocks, shape (b,).

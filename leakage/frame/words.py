@@ -119,7 +119,7 @@ def model(misfit: Misfit | None) -> str:
         return "model: too few blocks to judge it"
     if not misfit.is_clear and misfit.noise_share > LARGEST_MISFIT:
         noise = 100 * misfit.noise_share
-        return f"model: these samples cannot tell; noise alone looks like a misfit of {noise:.1f} %"
+        return f"model: noise hides it: alone it looks like a misfit of {noise:.1f} %"
     return f"model: {_misfit(misfit)}"
 
 

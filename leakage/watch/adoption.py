@@ -166,17 +166,17 @@ def in_force_of(
     is_rise = attribution.leakage.value > 0.0
     if circuit is not None and circuit.is_common:
         name = replace(name, cause=TANK, probability=circuit.probability, alike=())
-    goes_on = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
+    continues = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
     cause, probability, alike = name.cause, name.probability, name.alike
     # What goes on began where it was detected first, and keeps its name.
     lower, since, upper = attribution.since
-    if prior is not None and goes_on:
+    if prior is not None and continues:
         since, lower, upper = prior.change.dates
         if cause == NOT_IDENTIFIED:
             cause, probability = prior.change.cause, prior.change.probability
             alike = alike or prior.change.alike
     growth = state.growth_of(cause, attribution.leakage)
-    if prior is not None and goes_on and prior.change.cause == cause:
+    if prior is not None and continues and prior.change.cause == cause:
         growth = grown_as(prior.change, attribution.leakage)
     change = Change(
         cause,
@@ -192,9 +192,9 @@ def in_force_of(
         attribution.leakage,
         growth,
         name.likeliest.grade,
-        goes_on,
+        continues,
     )
-    if prior is not None and goes_on:
+    if prior is not None and continues:
         return replace(prior, change=change, attribution=attribution, prior=prior, circuit=circuit)
     along, of_leakage, before = state.baseline.leakage_flows, 1.0, UNCHANGED
     if prior is not None:

@@ -144,7 +144,7 @@ class Change:
     # Relative change of the named path's own flow; None where its share is below a tenth.
     path_growth: Estimate | None = None
     grade: int | None = None  # ISO viscosity grade that does as much, of ``oil_grade``.
-    goes_on: bool = False  # Whether the same was detected before.
+    continues: bool = False  # Whether the same was detected before.
 
     @property
     def several(self) -> float:

@@ -96,7 +96,7 @@ def with_odd_nights(state: WatchState) -> WatchState:
         first,
         state.day,
         size,
-        goes_on=again,
+        continues=again,
     )
     in_force = ChangeInForce(change, state.baseline.leakage_flows, 1.0, UNCHANGED)
     return replace(state, in_force=in_force, often=NOTHING)

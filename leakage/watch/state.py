@@ -274,7 +274,7 @@ def _n_present(state: WatchState) -> int:
     if state.in_force is None:
         return choices.PRESENT_NIGHTS
     change = state.in_force.change
-    is_ramp = change.shape == RAMPS or change.goes_on
+    is_ramp = change.shape == RAMPS or change.continues
     most = choices.PRESENT_OF_RAMP if is_ramp else choices.PRESENT_NIGHTS
     return max(1, min(most, len(state.window) - state.place(change.since)))
 

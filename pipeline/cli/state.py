@@ -193,7 +193,7 @@ def compare(
     Example: motor-leakage compare configs/fleet.toml CB400-02 --at 2026-03-02
 
     What has changed in the case drain flow at the same conditions, with its 95 % interval, and how
-    sure that is. A season or another load is none of it, as far as the nights before tell them.
+    sure that is. A season or another load is none of it, as far as the nights before show them.
     """
     from pipeline.trends.comparing import compare_nights
 

@@ -1,4 +1,4 @@
-"""`[alarms]`: rules for the states, and who is told; no error quotes a secret."""
+"""`[alarms]`: rules for the states, and who is notified; no error quotes a secret."""
 
 from __future__ import annotations
 

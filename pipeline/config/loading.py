@@ -214,7 +214,7 @@ class _Folder(Generic[Model]):
 def _read_folder(
     folder: Path | None, model: type[Model], faults: list[Fault], **context: Document
 ) -> _Folder[Model]:
-    """Return all TOML files of a folder; none where it cannot be, which is told already."""
+    """Return all TOML files of a folder; none where it cannot be read, which is reported."""
     found: _Folder[Model] = _Folder({}, {}, {})
     if folder is not None and not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
@@ -314,7 +314,7 @@ def named(value: Any, name: str) -> Any:
 def _at_their_place(
     faults: Iterable[Fault], own: Mapping[str, Document], defaults: Document, fleet_file: str
 ) -> Iterator[Fault]:
-    """Faults of motors' files, each told of the fleet file where the defaults have the key."""
+    """Faults of motors' files, each named for the fleet file where the defaults have the key."""
     for fault in faults:
         parts = fault.key.split(".")
         is_own = fault.file not in own or _depth(own[fault.file], parts) >= _depth(defaults, parts)

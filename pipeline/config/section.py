@@ -1,6 +1,6 @@
 """Base of the tables of config files: types that several use, and what a change makes anew.
 
-Faults are told in a reader's words: file, key, what stands there, what was expected.
+Faults are named in a reader's words: file, key, what stands there, what was expected.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Stage(Flag):
     NIGHT = auto()  # what else is judged by the samples of a night
     SCALE = auto()  # a path's coefficient: figures, and blocks only where the path is fixed
     FIGURES = auto()  # what is fitted to the statistics
-    TRENDS = auto()  # states, alarms, and what is told of a motor
+    TRENDS = auto()  # states, alarms, and what is reported of a motor
 
 
 def known_zone(name: str) -> str:

@@ -183,7 +183,7 @@ class Model(Section):
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Conditions at which a leakage is told."""
+    """Conditions at which a leakage is evaluated."""
 
     pressure_bar: float
     temperature_c: float

@@ -1,4 +1,4 @@
-"""The intraday check of a fleet: each motor's night so far, rows of `intraday`, and who is told.
+"""The intraday check of a fleet: each motor's night so far, rows of `intraday`, and notifications.
 
 A check holds a lock against another one, and never that of the nightly run. A published night
 confirms or withdraws what was reported: the nightly run asks for it here.

@@ -116,7 +116,7 @@ def misdated_message(record: FileRecord, days: int) -> str:
 
 
 def has_no_span(record: FileRecord) -> bool:
-    """Return True for a file that cannot be read: its nights, if any, are told from elsewhere."""
+    """Return True for a file that cannot be read: its nights, if any, are known from elsewhere."""
     return record.status != "ok" and record.first_us is None
 
 

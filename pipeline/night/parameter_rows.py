@@ -40,7 +40,7 @@ def _why_fixed(mode: BlockFit) -> str:
     """Return reason why the scale of the rollers' curve is held as configured."""
     if mode.roller is not None and mode.roller.judgement.reason:
         return f"configured, as speed varies too little: {mode.roller.judgement.reason}"
-    return "configured, as most of a baseline's first nights are to tell it"
+    return "configured, as most of a baseline's first nights do not identify it yet"
 
 
 def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:

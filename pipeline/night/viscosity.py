@@ -24,7 +24,7 @@ from pipeline.night.time_base import VISCOSITIES, Samples
 UNDRIVEN = ("one", "measured")
 # Share of the kept samples that need a credible viscosity.
 LEAST_SHARE = 0.1
-# Standard deviation of the temperature below which no change with it is told [K].
+# Standard deviation of the temperature below which no change with it is estimated [K].
 LEAST_SPREAD_K = 1.0
 # A sensor further from the data sheet, by this factor, does not measure this oil.
 FURTHEST = 3.0

@@ -47,7 +47,7 @@ def locked(folder: Path) -> Iterator[None]:
             raise StoreError(
                 "store_write", f"{folder} cannot be locked: {error.strerror}; choose a local folder"
             ) from error
-        # On a full disk nobody can be told who holds the lock; it is held all the same.
+        # On a full disk nobody learns who holds the lock; it is held all the same.
         with suppress(OSError):
             os.truncate(stream.fileno(), 0)
             os.write(stream.fileno(), holder.encode())

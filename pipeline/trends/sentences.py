@@ -282,10 +282,10 @@ def _changed(night: NightState, change: Change) -> str:
     if not is_shown:
         # What one night does not show by itself, those since the change do.
         size = f"{_quantity(change)} {relative_change(verdict.present)} since then, {size}"
-    goes_on = f"; still {'rising' if change.is_rise else 'falling'}"
-    goes_on = goes_on if change.goes_on and is_shown else ""
+    still = f"; still {'rising' if change.is_rise else 'falling'}"
+    still = still if change.continues and is_shown else ""
     parts = (
-        *(f"{headline}: {size}, {_since(change)}{goes_on}", gap),
+        *(f"{headline}: {size}, {_since(change)}{still}", gap),
         *(_beside_circuit(night, change), _others(change)),
     )
     return "; ".join(part for part in parts if part)

@@ -86,7 +86,7 @@ def begin_worker(run_pid: int, folder: str, memory_limit: int) -> None:
     words = os.open(place.with_suffix(".words"), os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(words, 2)
     os.close(words)
-    # Told from C, without the interpreter, which may hang.
+    # Dumped from C, without the interpreter, which may hang.
     faulthandler.enable(file=2)
     _file = os.open(place.with_suffix(".mark"), os.O_WRONLY | os.O_CREAT, 0o600)
     _, most = resource.getrlimit(resource.RLIMIT_DATA)

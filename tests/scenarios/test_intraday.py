@@ -119,27 +119,27 @@ def test_checked_again_and_again_a_step_is_reported_when_it_comes(
     assert done.out.count("M1: risen: drain flow +") == 1
 
 
-@pytest.mark.parametrize(("goes_on", "verdict"), [(True, "confirmed"), (False, "withdrawn")])
+@pytest.mark.parametrize(("stays", "verdict"), [(True, "confirmed"), (False, "withdrawn")])
 @covers("look")
 def test_the_nightly_run_confirms_or_withdraws_a_rise(
-    fleet: ScenarioFleet, goes_on: bool, verdict: str
+    fleet: ScenarioFleet, stays: bool, verdict: str
 ) -> None:
     grow(fleet, BREAK + 5)
     assert "1 risen" in fleet.run("look").out
     # The log is written on, or anew: the rise was air in the line.
-    grow(fleet, rise=0.3 if goes_on else 0.0)
+    grow(fleet, rise=0.3 if stays else 0.0)
     assert fleet.run("fit-fleet").code == 0
     assert states(fleet) == [("M1", "clear", "risen"), ("M1", "risen", verdict)]
     row = fleet.table("intraday").sort("time").to_dicts()[-1]
     assert row["confirmed_by"] == fleet.label(TODAY)
-    assert (row["change_lower"] < 30.0 < row["change_upper"]) is goes_on
-    words = f"reported 1, confirmed {int(goes_on)}, withdrawn {int(not goes_on)}"
+    assert (row["change_lower"] < 30.0 < row["change_upper"]) is stays
+    words = f"reported 1, confirmed {int(stays)}, withdrawn {int(not stays)}"
     assert words in fleet.run("status").err
     # The next day goes on as the night ended, and nobody is told again.
     for motor in ("M1", "M2"):
-        by = 0.3 if goes_on and motor == "M1" else 0.0
+        by = 0.3 if stays and motor == "M1" else 0.0
         fleet.write_night(motor, TODAY + 1, rise=by)
-    assert f"{1 + (not goes_on)} clear" in fleet.run("look").out
+    assert f"{1 + (not stays)} clear" in fleet.run("look").out
     assert len(states(fleet)) == 2
 
 

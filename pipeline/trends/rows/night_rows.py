@@ -86,7 +86,7 @@ def _of_change(night: NightState, change: Change) -> Row:
         "onset_earliest": dt.date.fromordinal(change.since_lower),
         "onset_latest": dt.date.fromordinal(change.since_upper),
         "detected_on": dt.date.fromordinal(change.detected_on),
-        "still_rising": change.goes_on,
+        "still_rising": change.continues,
         "likely_iso_vg": change.grade,
     }
     if night.gap_growth is not None:

@@ -169,9 +169,9 @@ def test_a_step_is_told_with_its_cause_its_size_and_its_begin(
 def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
     told, first, last = told_of(RING, 80, seed)
     assert told.day < BEGIN + 10
-    assert (first.shape, first.goes_on) == ("ramp", False)
+    assert (first.shape, first.continues) == ("ramp", False)
     assert next(iter(first.candidates)) == "ring"
-    assert (last.cause, last.goes_on, last.is_rise) == ("ring", True, True)
+    assert (last.cause, last.continues, last.is_rise) == ("ring", True, True)
     assert last.detected_on > told.day
     assert last.since == pytest.approx(BEGIN, abs=2)
     assert last.size.value == pytest.approx(0.03 * 50 * SHARES[0], abs=0.012)

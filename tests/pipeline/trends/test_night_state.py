@@ -198,7 +198,7 @@ MISSED = "% of the flow, so no part is named"
             LOOK_AT_SLEEVE,
         ),
         (
-            change("piston_ring", goes_on=True), 0.005,
+            change("piston_ring", continues=True), 0.005,
             "leakage of the piston ring has risen", "still rising; probability 97 %",
             "Plan an inspection of the piston ring.",
         ),
