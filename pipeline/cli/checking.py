@@ -18,9 +18,9 @@ from pipeline.cli.arguments import (
     Output,
     load,
     print_table,
+    progress_bar,
     tell,
 )
-from pipeline.cli.progress import progress_bar
 from pipeline.cli.runs import tell_faults
 from pipeline.errors import UsageError
 from pipeline.messages import counted, error_line

@@ -56,7 +56,9 @@ def look(
     with stoppable():
         fleet = load(config, output, None)
         wanted = fleet.known_motors(motors.split())
-        _require_files(fleet)
+        if fleet.log_url:
+            words = "logs in an object store cannot be checked within the day: use fit-fleet"
+            raise UsageError("look_logs", words)
         due = time.monotonic()
         while pause_s:
             try:
@@ -94,19 +96,15 @@ def _check(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[Mo
     return checks
 
 
-def _require_files(fleet: Fleet) -> None:
-    """Refuse logs that lie in no folder."""
-    if fleet.log_url:
-        raise UsageError(
-            "look_logs", "logs in an object store cannot be checked within the day: use fit-fleet"
-        )
-
-
 def _measure(fleet: Fleet, checks: Sequence[MotorCheck]) -> None:
     """Write the metrics; that they cannot be written costs nobody the check."""
     if fleet.metrics_file is None:
         return
-    from pipeline.run.metrics import intraday_metrics_file, intraday_metrics_text, write_metrics
+    from pipeline.run.notification import (
+        intraday_metrics_file,
+        intraday_metrics_text,
+        write_metrics,
+    )
 
     text = intraday_metrics_text(fleet, checks)
     try:

@@ -19,11 +19,11 @@ from pipeline.cli.arguments import (
     absolute_folder,
     day,
     load,
+    progress_bar,
     require_order,
     say,
     tell,
 )
-from pipeline.cli.progress import progress_bar
 from pipeline.clock import now
 from pipeline.messages import counted
 
@@ -108,7 +108,7 @@ def export(
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front.
     """
     from pipeline.config import load_fleet
-    from pipeline.export.csv import CsvRequest, export_csv, tables_named
+    from pipeline.export import CsvRequest, export_csv, tables_named
 
     fleet = load_fleet(config)
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
@@ -138,9 +138,9 @@ def prune(
     Example: motor-leakage prune configs/fleet.toml --tables predictions,error_budget --keep 400
     """
     from pipeline.run.publishing import newest_of_fleet
-    from pipeline.store.locks import locked
-    from pipeline.store.retention import old_files, require_prunable
-    from pipeline.store.retention import prune as remove
+    from pipeline.store.atomic_files import locked
+    from pipeline.store.published import old_files, require_prunable
+    from pipeline.store.published import prune as remove
     from pipeline.store.state import open_state, read_state_file
     from pipeline.store.tables import existing_tables
 

@@ -30,11 +30,13 @@ from pipeline.cli.arguments import (
     day,
     load,
     nights,
+    nights_done,
+    progress_bar,
+    repeated,
     require_order,
     say,
     tell,
 )
-from pipeline.cli.progress import nights_done, progress_bar, repeated
 from pipeline.errors import MotorLeakageError, UsageError
 from pipeline.messages import counted
 
@@ -241,10 +243,11 @@ def print_plan(request: RunRequest, *, as_json: bool) -> None:
             lines.append(f"  and {counted(left, 'other reason')}; all of them with --json")
         event = {"event": "plan", "motor_id": motor_id, "nights": nights}
         tell(event, "\n".join(lines), as_json=as_json)
-    for motor_id, why in plan_trends(request):
+    changed = dict(plan_trends(request))
+    for motor_id, why in changed.items():
         event = {"event": "plan_trends", "motor_id": motor_id, "reason": why}
         tell(event, f"{motor_id}: all trends redone: {why}", as_json=as_json)
-    for motor_id, words in plan_states(request, stays):
+    for motor_id, words in plan_states(request, changed, stays):
         event = {"event": "plan_state", "motor_id": motor_id, "state": words}
         tell(event, f"{motor_id}: {words}", as_json=as_json)
     tell_faults(faults_of(request.fleet.output), as_json=as_json)

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, day, load, print_table
-from pipeline.cli.progress import progress_bar
+from pipeline.cli.arguments import EXIT_MOTORS_FAILED, EXIT_OK, day, load, print_table, progress_bar
 from pipeline.errors import UsageError
 from pipeline.messages import counted
 

@@ -67,7 +67,7 @@ def status(
     Exit code 0; with --max-age 1 if the last good run is too old, or there was none, or no motor
     has samples newer than alarms.stale_after_nights.
     """
-    from pipeline.notification.receivers import receivers_of
+    from pipeline.notification.outbox import receivers_of
     from pipeline.report.status import fleet_status
 
     fleet = load(config, output, None, logs=False)
@@ -81,19 +81,14 @@ def status(
     if as_json:
         _print_json(fleet_state, too_old=too_old, is_silent=is_silent)
     else:
-        _print_motors(fleet_state.motors, fleet.name, is_long=is_long)
+        columns = LONG_COLUMNS if is_long else COLUMNS
+        rows = [_cells(motor)[: len(columns)] for motor in fleet_state.motors]
+        styles = [COLOURS.get(motor.state, "") for motor in fleet_state.motors]
+        print_table(columns, rows, fleet.name if is_long else "", styles, is_dense=not is_long)
         for line in fleet_lines(fleet_state, too_old=too_old, is_silent=is_silent):
             say(line, err=not sys.stdout.isatty())
     is_late = too_old or (max_age is not None and is_silent)
     raise typer.Exit(EXIT_MOTORS_FAILED if is_late else EXIT_OK)
-
-
-def _print_motors(motors: Sequence[MotorState], name: str, *, is_long: bool) -> None:
-    """Print the motors: for people, a line each."""
-    columns = LONG_COLUMNS if is_long else COLUMNS
-    rows = [_cells(motor)[: len(columns)] for motor in motors]
-    styles = [COLOURS.get(motor.state, "") for motor in motors]
-    print_table(columns, rows, name if is_long else "", styles, is_dense=not is_long)
 
 
 def _print_json(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> None:

@@ -6,7 +6,6 @@ confirms or withdraws what was reported: the nightly run asks for it here.
 
 from __future__ import annotations
 
-import datetime as dt
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,11 +39,10 @@ from pipeline.intraday.rows import (
 from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.night.fit_night import Insufficient
 from pipeline.notification.delivery import Receiver
-from pipeline.notification.outbox import OF_INTRADAY, deliver, open_outbox
-from pipeline.notification.receivers import receivers_of
+from pipeline.notification.outbox import OF_INTRADAY, deliver, open_outbox, receivers_of
 from pipeline.schema import BLOCKS
-from pipeline.store.locks import locked
-from pipeline.store.state import State, open_state
+from pipeline.store.atomic_files import locked
+from pipeline.store.state import StateDatabase, open_state
 from pipeline.store.tables import nights_back
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import read_checkpoint
@@ -73,9 +71,7 @@ class MotorCheck:
     fault: str = ""  # why it could not be checked; empty where it was
 
 
-def check_fleet(
-    fleet: Fleet, motors: Sequence[str] = (), clock: dt.datetime | None = None
-) -> tuple[MotorCheck, ...]:
+def check_fleet(fleet: Fleet, motors: Sequence[str] = ()) -> tuple[MotorCheck, ...]:
     """Check the motors of a fleet once, all if none is named; one that fails costs no other.
 
     Raises LockedError if another check is under way; StoreError if nothing can be published.
@@ -89,7 +85,7 @@ def check_fleet(
         found = list[MotorCheck]()
         for specs in circuits_of(wanted):
             checks = [
-                check_motor(state, spec, decisions[spec.motor_id], last.get(spec.motor_id), clock)
+                check_motor(state, spec, decisions[spec.motor_id], last.get(spec.motor_id))
                 for spec in specs
             ]
             checks = [_with_circuit(check, checks) for check in checks]
@@ -101,18 +97,17 @@ def check_fleet(
 
 
 def check_motor(
-    state: State,
+    state: StateDatabase,
     spec: MotorSpec,
     decisions: Sequence[Decision],
     last: Row | None,
-    clock: dt.datetime | None,
 ) -> MotorCheck:
     """Check a motor; where it cannot be judged, it stays as it was."""
     motor_id = spec.motor_id
     try:
         spec = as_published(spec, read_settings(state).get(motor_id))
         known = read_processed(state, motor_id).files
-        night, channels = read_so_far(spec, known, latest_us(clock))
+        night, channels = read_so_far(spec, known, latest_us())
         before = nights_before(
             state.output, spec, decisions, read_checkpoint(state, motor_id), night.date
         )
@@ -182,7 +177,7 @@ def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorChec
     return replace(check, reason=reason, rows=(row | {"reason": reason},))
 
 
-def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
+def settle_rises(fleet: Fleet, state: StateDatabase, rises: Mapping[str, Row]) -> None:
     """Let the nights that a run has published confirm or withdraw reported rises, and deliver it.
 
     Raises LockedError while a check is under way; StoreError.
@@ -198,7 +193,7 @@ def settle_rises(fleet: Fleet, state: State, rises: Mapping[str, Row]) -> None:
         _deliver(fleet, state, receivers)
 
 
-def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:
+def _deliver(fleet: Fleet, state: StateDatabase, receivers: Sequence[Receiver]) -> None:
     """Deliver new rows; what fails waits for the next check."""
     try:
         for fault in deliver(state, receivers, fleet.name, OF_INTRADAY):
@@ -207,7 +202,9 @@ def _deliver(fleet: Fleet, state: State, receivers: Sequence[Receiver]) -> None:
         log.warning("intraday check: %s; the next check delivers it", error)
 
 
-def _settled(state: State, spec: MotorSpec, decisions: Sequence[Decision], last: Row) -> Row | None:
+def _settled(
+    state: StateDatabase, spec: MotorSpec, decisions: Sequence[Decision], last: Row
+) -> Row | None:
     """Return the row by which a published night settles a rise; None: none says anything yet."""
     spec = as_published(spec, read_settings(state).get(spec.motor_id))
     time_us, nights = microseconds(last["time"]), spec.settings.nights

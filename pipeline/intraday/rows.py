@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.clock import utc
 from pipeline.schema import INTRADAY
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import State
+from pipeline.store.state import StateDatabase
 from pipeline.store.tables import read_rows
 from pipeline.trends.rows.motor_states import CLEAR, RISEN, IntradayStatus
 
@@ -55,7 +55,7 @@ def open_rises(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
     return {motor_id: row for motor_id, row in last.items() if row["to_state"] == RISEN}
 
 
-def publish_rows(state: State, rows: Iterable[Row], run_id: str) -> None:
+def publish_rows(state: StateDatabase, rows: Iterable[Row], run_id: str) -> None:
     """Add rows to the table; raises StoreError if they cannot be published."""
     by_month: defaultdict[str, list[Row]] = defaultdict(list)
     for row in rows:

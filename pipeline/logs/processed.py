@@ -24,7 +24,7 @@ from pipeline.config.hashes import DRAIN_DELAY, ROLLER
 from pipeline.messages import counted
 from pipeline.schema import NIGHTS, TIMESTAMP
 from pipeline.schema.fits import OK
-from pipeline.store.state import State, read_state_file
+from pipeline.store.state import StateDatabase, read_state_file
 from pipeline.workers.process import still_alive
 
 Key = TypeVar("Key")
@@ -143,7 +143,7 @@ _LOG_COLUMNS = tuple(field.name for field in fields(FileRecord))
 _NIGHT_COLUMNS = ("night", *(field.name for field in fields(NightRecord)))
 
 
-def read_processed(state: State, motor_id: str) -> ProcessedLogs:
+def read_processed(state: StateDatabase, motor_id: str) -> ProcessedLogs:
     """Return a motor's record of processed logs."""
     settings = state.rows("SELECT settings FROM motors WHERE motor_id = ?", motor_id)
     if not settings:
@@ -161,14 +161,14 @@ def read_processed(state: State, motor_id: str) -> ProcessedLogs:
 
 
 def _rows(
-    state: State, table: str, columns: Sequence[str], motor_id: str
+    state: StateDatabase, table: str, columns: Sequence[str], motor_id: str
 ) -> Iterator[dict[str, Any]]:
     query = f"SELECT {', '.join(columns)} FROM {table} WHERE motor_id = ?"
     for row in state.rows(query, motor_id):
         yield dict(zip(columns, row, strict=True))
 
 
-def write_change(state: State, motor_id: str, change: ProcessedChange) -> None:
+def write_change(state: StateDatabase, motor_id: str, change: ProcessedChange) -> None:
     """Change a motor's record of processed logs; raises StoreError."""
     if change == ProcessedChange():
         return
@@ -209,7 +209,7 @@ def _row_of(motor_id: str, night: dt.date, text: str) -> dict[str, Any]:
     return row
 
 
-def unpublished_rows(state: State, motor_id: str) -> dict[dt.date, dict[str, Any]]:
+def unpublished_rows(state: StateDatabase, motor_id: str) -> dict[dt.date, dict[str, Any]]:
     """Rows of a motor's nights, as far as the nights fill them, whose trends are still to come."""
     rows = state.rows(
         "SELECT night, row FROM nights WHERE motor_id = ? AND row IS NOT NULL", motor_id
@@ -218,7 +218,7 @@ def unpublished_rows(state: State, motor_id: str) -> dict[dt.date, dict[str, Any
     return {label: _row_of(motor_id, label, text) for label, text in labels}
 
 
-def note_published(state: State, motor_id: str, last: dt.date) -> None:
+def note_published(state: StateDatabase, motor_id: str, last: dt.date) -> None:
     """Note that a motor's nights up to the last one are in `nights`; raises StoreError."""
     change = "UPDATE nights SET row = NULL WHERE motor_id = ? AND night <= ? AND row IS NOT NULL"
     state.write(change, motor_id, str(last))
@@ -239,7 +239,7 @@ def paired_as_published(fleet: Fleet, output: Path) -> Fleet:
     return replace(fleet, motors=tuple(motors))
 
 
-def read_settings(state: State) -> dict[str, dict[str, Any]]:
+def read_settings(state: StateDatabase) -> dict[str, dict[str, Any]]:
     """Return settings of each motor's last run, by motor."""
     return {
         motor_id: json.loads(text)
@@ -248,7 +248,7 @@ def read_settings(state: State) -> dict[str, dict[str, Any]]:
 
 
 def read_stays(
-    state: State, motor_ids: Collection[str]
+    state: StateDatabase, motor_ids: Collection[str]
 ) -> tuple[dict[str, dict[dt.date, str]], Counter[str]]:
     """Return why nights stay as published, by motor; and how many others have no log any more."""
     found: dict[str, dict[dt.date, str]] = {motor_id: {} for motor_id in motor_ids}
@@ -273,7 +273,7 @@ def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:
 
 
 def forget_nights(
-    state: State, nights: Collection[dt.date], refit: Collection[dt.date] = ()
+    state: StateDatabase, nights: Collection[dt.date], refit: Collection[dt.date] = ()
 ) -> dict[str, set[dt.date]]:
     """Let the next run make nights anew whose tables were lost.
 

@@ -15,10 +15,16 @@ from typing import Any
 from pipeline.config.alarms import Email, mail_server
 from pipeline.errors import one_line
 from pipeline.messages import as_sentence, plain
-from pipeline.notification.delivery import DEADLINE_S, SUMMARY, Delivery, fault_words, filled, talk
+from pipeline.notification.delivery import (
+    DEADLINE_S,
+    EMAIL,
+    SUMMARY,
+    Delivery,
+    fault_words,
+    filled,
+    talk,
+)
 
-# Name of the receiver in the outbox.
-EMAIL = "email"
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150

@@ -1,4 +1,4 @@
-"""Notices: which rows of a table each receiver has been sent, and the sending of the others.
+"""The receivers of a config, which rows of a table each has been sent, and the sending of others.
 
 A row of the published tables is known by its key and its content. It is marked as delivered, for
 each receiver, once that has taken it: wherever a run is broken off, the next one sends it, at least
@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.clock import now
+from pipeline.config import Alarms
 from pipeline.errors import StoreError
 from pipeline.messages import counted
-from pipeline.notification.delivery import SUMMARY, Delivery, Receiver, UndeliveredError
+from pipeline.notification.delivery import SUMMARY, Command, Delivery, Receiver, UndeliveredError
 from pipeline.schema import ALARM_CONTENT, ALARMS, INTRADAY, Table
-from pipeline.store.state import State, read_state_file
+from pipeline.store.state import StateDatabase, read_state_file
 from pipeline.store.tables import files_of, read_table
 
 log = logging.getLogger(__name__)
@@ -80,7 +81,25 @@ class Backlog:
         )
 
 
-def open_outbox(state: State, names: Sequence[str], topic: Topic = OF_ALARMS) -> None:
+def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
+    """All that `[alarms]` names; none by default."""
+    receivers: list[Receiver] = []
+    if settings.command:
+        receivers.append(Command(settings.command))
+    if settings.webhook_url:
+        from pipeline.notification.web_hook import WebHook
+
+        receivers.append(
+            WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
+        )
+    if settings.email.to:
+        from pipeline.notification.mail import Mail
+
+        receivers.append(Mail(settings.email))
+    return tuple(receivers)
+
+
+def open_outbox(state: StateDatabase, names: Sequence[str], topic: Topic = OF_ALARMS) -> None:
     """Know the receivers of a config, before a run publishes anything.
 
     What is published already is no news to a new receiver; one that the config names no more is
@@ -97,7 +116,7 @@ def open_outbox(state: State, names: Sequence[str], topic: Topic = OF_ALARMS) ->
             _note_new(state, name, topic, _published(state.output, topic), since="")
 
 
-def pass_over(state: State, ids: Collection[str]) -> None:
+def pass_over(state: StateDatabase, ids: Collection[str]) -> None:
     """Let rows of `alarms` that are being published be sent to nobody, by their `id`."""
     if ids:
         rows = _published(state.output, OF_ALARMS)
@@ -106,7 +125,7 @@ def pass_over(state: State, ids: Collection[str]) -> None:
             _note_new(state, name, OF_ALARMS, silent, since="")
 
 
-def rename_motor(state: State, old: str, new: str) -> None:
+def rename_motor(state: StateDatabase, old: str, new: str) -> None:
     """Know a motor's rows by its new name, as which they are published: what waits still does."""
     for topic in (OF_ALARMS, OF_INTRADAY):
         keys = []
@@ -119,7 +138,7 @@ def rename_motor(state: State, old: str, new: str) -> None:
 
 
 def deliver(
-    state: State, receivers: Sequence[Receiver], fleet: str, topic: Topic = OF_ALARMS
+    state: StateDatabase, receivers: Sequence[Receiver], fleet: str, topic: Topic = OF_ALARMS
 ) -> tuple[str, ...]:
     """Deliver what no receiver has taken yet, each delivery noted at once; faults, as text.
 
@@ -151,7 +170,11 @@ def deliver(
 
 
 def deliver_summary(
-    state: State, receiver: Receiver, fleet: str, due: dt.date, rows: Callable[[], Iterable[Row]]
+    state: StateDatabase,
+    receiver: Receiver,
+    fleet: str,
+    due: dt.date,
+    rows: Callable[[], Iterable[Row]],
 ) -> None:
     """Deliver a summary, once for each date that it is due on; raises UndeliveredError."""
     mine = ALARMS.name, receiver.name
@@ -196,7 +219,7 @@ def _key(topic: Topic, row: Row) -> str:
 
 
 def _note_new(
-    state: State, name: str, topic: Topic, rows: Mapping[str, Row], *, since: str
+    state: StateDatabase, name: str, topic: Topic, rows: Mapping[str, Row], *, since: str
 ) -> None:
     """Note rows that say what the receiver was not sent before; they wait since then, if at all.
 
@@ -216,7 +239,7 @@ def _note_new(
 
 
 def _waiting(
-    state: State, name: str, topic: Topic, rows: Mapping[str, Row]
+    state: StateDatabase, name: str, topic: Topic, rows: Mapping[str, Row]
 ) -> Iterator[Sequence[Row]]:
     """Rows of each delivery to a receiver: those that came together; what failed goes last."""
     notices = state.rows(

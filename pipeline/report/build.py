@@ -20,8 +20,7 @@ from leakage import AnnularGap
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import StoreError
 from pipeline.messages import plain
-from pipeline.notification.outbox import backlogs
-from pipeline.notification.receivers import receivers_of
+from pipeline.notification.outbox import backlogs, receivers_of
 from pipeline.report.charts import night_chart, residual_chart, watch_chart
 from pipeline.report.explain import EXPLAINED, paragraphs
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span, overlay
@@ -160,7 +159,7 @@ def build_report(
             "run check",
         )
     report = Folder(folder, _program_hash())
-    remove_leftovers([folder])
+    remove_leftovers(folder, below=True)
     states = current_states(fleet.output, [spec.motor_id for spec in fleet.motors])
     ids = [state.motor_id for state in states]
     n_nights = _make_nights(fleet.output, ids, report, nights, progress)

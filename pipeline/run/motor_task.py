@@ -10,8 +10,9 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -31,12 +32,12 @@ from pipeline.night.column_change import (
     usual_readings,
 )
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
-from pipeline.night.refit import refit, refit_read
+from pipeline.night.refit import FROM_TABLES, PublishedNight, refit, refit_read
 from pipeline.night.rows import Row
-from pipeline.run.night_plan import NightPlan
-from pipeline.run.stored_nights import StoredNights, why_less
+from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.run.night_plan import NO_LOG, NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
-from pipeline.schema import FITS, LOG_FILES, NIGHT_TABLES, NIGHTS, QUALITY, Table
+from pipeline.schema import BLOCKS, FITS, LOG_FILES, NIGHT_TABLES, NIGHTS, OF_NIGHT, QUALITY, Table
 from pipeline.schema.fits import (
     FAILED,
     LAG_COLUMNS,
@@ -45,11 +46,19 @@ from pipeline.schema.fits import (
     WITH_SAMPLES,
     agreed_lag,
 )
+from pipeline.store.published import TABLE_OF
 from pipeline.store.publishing import stage, staged_file
-from pipeline.store.tables import read_rows
+from pipeline.store.tables import days_of, read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
+
+RowsByTable = Mapping[str, Sequence[Row]]
+
+# Refused by these, a row of a log is none of its samples.
+NO_SAMPLES = ("missing", "duplicate_time")
+# First and last sample that are kept may differ by so much: rules at the ends decide on them, too.
+CLOSE = dt.timedelta(minutes=1)
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -90,7 +99,7 @@ class MotorRun(NightPlan):
         unpublished = {
             label: dict(record.row) for label, record in self.nights_before.items() if record.row
         }
-        self.stored = StoredNights(task.output, self.spec.motor_id, unpublished)
+        self.stored = _StoredNights(task.output, self.spec.motor_id, unpublished)
         self.findings: tuple[str, ...] = ()
         self.n_left = 0
 
@@ -182,7 +191,7 @@ class MotorRun(NightPlan):
         if status not in WITH_SAMPLES:
             return outcome
         is_failed = outcome.status == FAILED
-        why = outcome.reason if is_failed else why_less(outcome.rows, published)
+        why = outcome.reason if is_failed else _why_less(outcome.rows, published)
         if why is None:
             return outcome
         self.stay(label, why, status)
@@ -342,3 +351,77 @@ class MotorRun(NightPlan):
             others = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
             rows[label] += others.to_dicts()
         return {label: rows[label] for label in sorted({*staged, *moved})}
+
+
+class _StoredNights:
+    """The published nights of a motor; `unpublished` has own rows of nights without trends yet."""
+
+    def __init__(self, output: Path, motor_id: str, unpublished: Mapping[dt.date, Row]) -> None:
+        self._output = output
+        self._motor_id = motor_id
+        self._unpublished = unpublished
+        self._month = ""
+        self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
+
+    def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[Row]]:
+        """Return rows of a night by table."""
+        return {table.name: self._rows(table, label) for table in tables}
+
+    def night(self, label: dt.date) -> PublishedNight:
+        """Return rows of a night."""
+        rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
+        return PublishedNight(label, rows, self._of_night(BLOCKS, label))
+
+    def _rows(self, table: Table, label: dt.date) -> list[Row]:
+        """Rows of the motor in a night; none where its month's files are absent or damaged."""
+        if table is NIGHTS and label in self._unpublished:
+            return [dict(self._unpublished[label])]
+        rows = self._of_night(table, label)
+        return [] if rows is None else rows.to_dicts()
+
+    def _of_night(self, table: Table, label: dt.date) -> pl.DataFrame | None:
+        month = f"{label:%Y-%m}"
+        if month != self._month:
+            self._nights, self._month = {}, month
+        if table.name not in self._nights:
+            self._nights[table.name] = self._read(table, month)
+        return self._nights[table.name].get(label)
+
+    def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
+        every = tuple(name for name in table.schema if name != "run_id")
+        columns = {BLOCKS: BLOCK_COLUMNS, NIGHTS: OF_NIGHT}.get(table, every)
+        try:
+            rows = read_rows(self._output, table, [self._motor_id], columns, days_of(month))
+        except StoreError as error:
+            log.warning("%s; no night of %s is made from it", error, month)
+            return {}
+        nights = rows.sort(table.key).partition_by("night", as_dict=True, maintain_order=True)
+        return {key[0]: part for key, part in nights.items()}
+
+
+def _samples_of(quality: Iterable[Row]) -> int:
+    """Return the number of different samples of all channels, by a night's rows of `quality`."""
+    logged: dict[str, int] = {}
+    absent = 0
+    for row in quality:
+        if row["channel"] != "time_base":
+            # A rule on pairs of samples looks at fewer.
+            logged[row["channel"]] = max(logged.get(row["channel"], 0), row["n_samples"])
+            absent += row["n_refused"] if row["reason"] in NO_SAMPLES else 0
+    return sum(logged.values()) - absent
+
+
+def _why_less(made: RowsByTable, published: RowsByTable) -> str | None:
+    """Return why a night is made of less than its published rows, in words; None: it is not."""
+    now, before = (_samples_of(rows.get("quality", ())) for rows in (made, published))
+    if now < before:
+        return f"its logs hold {now} samples now, and held {before}" if now else NO_LOG
+    (new,), (old,) = made["nights"], published["nights"]
+    for name, at, sign in (("first_sample", "begin", -1), ("last_sample", "end", 1)):
+        if old[name] is None:
+            continue
+        if new[name] is None:
+            return "no sample of its logs is kept"
+        if sign * (old[name] - new[name]) > CLOSE:
+            return f"its logs {at} at {new[name]:%H:%M} UTC now, and at {old[name]:%H:%M} before"
+    return None

@@ -356,21 +356,21 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
 
     Raises StoreError if a published table that is needed is damaged.
     """
-    with read_state_file(request.fleet.output) as state:
-        for spec in request.specs:
-            processed = read_processed(state, spec.motor_id)
-            task = request.task(spec, request.fleet.output / "staging", processed)
-            yield spec.motor_id, dict(sorted(NightPlan(task).open_nights().items()))
+    output = request.fleet.output
+    with read_state_file(output) as state:
+        for task in request.tasks(output / "staging"):
+            known = replace(task, processed=read_processed(state, task.spec.motor_id))
+            yield task.spec.motor_id, dict(sorted(NightPlan(known).open_nights().items()))
 
 
-def plan_states(request: RunRequest, stays: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield motors with a state in force whose nights or trends are made anew by other settings,
-    with what becomes of it, in words; `stays` are those of which some nights stay as they are.
+def plan_states(
+    request: RunRequest, changed: Collection[str], stays: Collection[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield motors with a state in force whose trends are made anew by other settings, with what
+    becomes of it, in words; `stays` are those of which some nights stay as they are.
     """
-    states = published_states(request.fleet.output, [spec.motor_id for spec in request.specs])
-    changed = {motor_id for motor_id, _ in plan_trends(request)}
-    for motor in states:
-        if motor.state in CHANGED and motor.motor_id in changed:
+    for motor in published_states(request.fleet.output, sorted(changed)):
+        if motor.state in CHANGED:
             how = "is judged anew: it stays in force, or its end is reported"
             if motor.motor_id in stays:
                 how = "stays in force: nights before keep the settings they were made with"

@@ -14,8 +14,7 @@ import polars as pl
 
 from pipeline.clock import latest_us, microseconds
 from pipeline.config import Fleet, MotorSpec
-from pipeline.config.hashes import config_hash as hash_of_config
-from pipeline.config.hashes import hash_of, own_version
+from pipeline.config.hashes import config_hash, hash_of, own_version
 from pipeline.config.nights import DAY, night_of
 from pipeline.errors import StoreError
 from pipeline.logs.processed import note_published, unpublished_rows, write_change
@@ -34,10 +33,9 @@ from pipeline.schema import (
     data_dictionary,
     frame,
 )
-from pipeline.store.publishing import Publisher, stage, staged_file
-from pipeline.store.state import State
+from pipeline.store.publishing import Publisher, stage, staged_file, write_views
+from pipeline.store.state import StateDatabase
 from pipeline.store.tables import read_rows, read_table, whole_file
-from pipeline.store.views import write_views
 from pipeline.trends.nights.decisions import Decision, read_decisions
 from pipeline.trends.nights.trend_record import note_touched, write_record
 from pipeline.trends.rows.motor_states import REMOVED, is_confirmed, latest_rows
@@ -126,7 +124,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     return stage.run_trends(task)
 
 
-def newest_of_fleet(fleet: Fleet, state: State, clock: dt.datetime) -> NewestNight | None:
+def newest_of_fleet(fleet: Fleet, state: StateDatabase, clock: dt.datetime) -> NewestNight | None:
     """Newest night, as `newest_night_of`; of a fleet that is silent the last by a run's clock."""
     nights = fleet.settings.nights
     latest = night_of(latest_us(clock), nights)
@@ -215,7 +213,10 @@ def publish_whole_tables(publisher: Publisher, fleet: Fleet) -> None:
 
 
 def _gone_motors(
-    state: State, published: pl.DataFrame, own: Collection[str], decisions: Sequence[Decision]
+    state: StateDatabase,
+    published: pl.DataFrame,
+    own: Collection[str],
+    decisions: Sequence[Decision],
 ) -> list[str]:
     """Return motors that the config has no more, and of which nobody has confirmed it."""
     before = {row["motor_id"]: row for row in published.to_dicts()}
@@ -241,15 +242,11 @@ def _published_latest(output: Path) -> pl.DataFrame:
         return frame(LATEST, [])
 
 
-def config_hash_of(specs: Sequence[MotorSpec]) -> str:
-    """Return hash of the settings of all motors."""
-    return hash_of({spec.motor_id: hash_of_config(spec) for spec in specs})
-
-
-def run_id_of(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
-    """Return hash of the code, the settings and the contents that were read."""
+def run_id_of(outcomes: Sequence[MotorOutcome], specs: Sequence[MotorSpec]) -> str:
+    """Return hash of the code, the settings of all motors, and the contents that were read."""
+    settings = hash_of({spec.motor_id: config_hash(spec) for spec in specs})
     inputs = [text for outcome in outcomes for text in (outcome.motor_id, *outcome.inputs)]
-    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
+    text = "|".join((own_version(), str(SCHEMA_VERSION), settings, *inputs))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pipeline.ingest import RawChannel
     from pipeline.night.time_base import Samples
 
-Span = tuple[dt.date, dt.date]
 # A motor of which more nights than this take their worker with them, or more logs than this do not
 # answer, is given up as a whole.
 MOST_GIVEN_UP = 3
@@ -48,20 +47,36 @@ class FirstLook(Protocol):
         """Look at the samples that cleaning kept."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """Request of a run."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Nights that a person asks for, and how they are made."""
 
-    fleet: Fleet  # the config
-    motors: tuple[str, ...] = ()  # ids of the motors to do; empty for all
     # since, until: labels of the first and last night to do; None: no limit.
     since: dt.date | None = None
     until: dt.date | None = None
     # redo: first and last night to make anew from the logs that there are, whatever they lack.
-    redo: Span | None = None
+    redo: tuple[dt.date, dt.date] | None = None
     retry: bool = False  # whether to try nights and logs again that failed
-    repair: bool = False  # whether to prove every table file before
     first_look: Callable[[], FirstLook] | None = None  # what looks at motors of the first run
+
+    def asks_for(self, label: dt.date) -> bool:
+        """Return True where a person wants a night made anew, whatever its logs lack."""
+        return self.redo is not None and self.redo[0] <= label <= self.redo[1]
+
+    def wants(self, label: dt.date) -> bool:
+        """Return True where a night lies within the asked-for range."""
+        return (self.since is None or label >= self.since) and (
+            self.until is None or label <= self.until
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest(Selection):
+    """Request of a run."""
+
+    fleet: Fleet  # the config
+    motors: tuple[str, ...] = ()  # ids of the motors to do; empty for all
+    repair: bool = False  # whether to prove every table file before
     # The time of the run, by which logs lie in the future.
     clock: dt.datetime = field(default_factory=now)
 
@@ -72,36 +87,27 @@ class RunRequest:
             spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
         )
 
-    def task(
-        self,
-        spec: MotorSpec,
-        staging: Path,
-        processed: ProcessedLogs | None = None,
-    ) -> MotorTask:
-        """Return the task of a motor."""
-        return MotorTask(
-            spec=spec,
-            output=self.fleet.output,
-            staging=staging,
-            processed=processed or ProcessedLogs(),
-            since=self.since,
-            until=self.until,
-            redo=self.redo,
-            retry=self.retry,
-            first_look=self.first_look,
-            latest_us=latest_us(self.clock),
-            excluded=self._decided(spec, "excluded"),
-            released=self._decided(spec, "released"),
-        )
-
-    def _decided(self, spec: MotorSpec, kind: Kind) -> frozenset[dt.date]:
-        """Return nights of a motor that a person decided on."""
-        decisions = read_decisions(self.fleet.output)
-        return frozenset(
-            decision.night
-            for decision in decisions
-            if (decision.motor_id, decision.kind) == (spec.motor_id, kind)
-        )
+    def tasks(self, staging: Path) -> list[MotorTask]:
+        """Return a task for each motor that is asked for."""
+        decided: defaultdict[tuple[str, Kind], set[dt.date]] = defaultdict(set)
+        for decision in read_decisions(self.fleet.output):
+            decided[decision.motor_id, decision.kind].add(decision.night)
+        return [
+            MotorTask(
+                spec=spec,
+                output=self.fleet.output,
+                staging=staging,
+                since=self.since,
+                until=self.until,
+                redo=self.redo,
+                retry=self.retry,
+                first_look=self.first_look,
+                latest_us=latest_us(self.clock),
+                excluded=frozenset(decided[spec.motor_id, "excluded"]),
+                released=frozenset(decided[spec.motor_id, "released"]),
+            )
+            for spec in self.specs
+        ]
 
 
 class Work(Enum):
@@ -121,7 +127,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class MotorTask:
+class MotorTask(Selection):
     """A motor for a worker: plain data, small enough to send."""
 
     spec: MotorSpec  # the motor with its resolved config
@@ -129,15 +135,8 @@ class MotorTask:
     staging: Path  # folder for this run's staged rows
     # processed: The motor's, as the run before left it.
     processed: ProcessedLogs = field(default_factory=ProcessedLogs)
-    # since, until: labels of the first and last night to do; None: no limit.
-    since: dt.date | None = None
-    until: dt.date | None = None
-    # redo: first and last night to make anew from the logs that there are, whatever they lack.
-    redo: Span | None = None
-    retry: bool = False  # whether to try nights and logs again that failed
     # Losses of this run, each in a night that is not made, or at a log that is not opened.
     given_up: tuple[Loss, ...] = ()
-    first_look: Callable[[], FirstLook] | None = None  # as of the request
     # The motor's logs where they are known to be as they were; None: they are to be looked at.
     log_records: Mapping[str, FileRecord] | None = None
     # Samples after this time are refused [µs since 1970]: a day after the run's clock.
@@ -158,16 +157,6 @@ class MotorTask:
     def silent(self) -> dict[str, Loss]:
         """Logs that did not answer, and patterns of logs whose folders did not."""
         return {loss.log: loss for loss in self.given_up if loss.log}
-
-    def asks_for(self, label: dt.date) -> bool:
-        """Return True where a person wants a night made anew, whatever its logs lack."""
-        return self.redo is not None and self.redo[0] <= label <= self.redo[1]
-
-    def wants(self, label: dt.date) -> bool:
-        """Return True where a night lies within the asked-for range."""
-        return (self.since is None or label >= self.since) and (
-            self.until is None or label <= self.until
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,13 +221,17 @@ class RunResult:
     n_nights: int  # nights of motors that were written
     # Whether the run was stopped before all motors were done; what was finished is published.
     interrupted: bool
-    seconds: float  # wall-clock time
-    alarms: tuple[Mapping[str, Any], ...] = ()  # new rows of `alarms`
-    # Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
+    # Wall-clock time by stage: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
     seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
+    alarms: tuple[Mapping[str, Any], ...] = ()  # new rows of `alarms`
     damage: tuple[TableFault, ...] = ()  # published files that were found damaged or gone
     damage_left: tuple[TableFault, ...] = ()  # what of it could not be made anew
     copy_fault: str = ""  # why the tables could not be copied to `folders.copy_to`
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time."""
+        return sum(self.seconds_by_stage.values())
 
     @property
     def files(self) -> Counter[str]:

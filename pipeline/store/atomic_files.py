@@ -1,21 +1,28 @@
-"""Files written whole or not at all, and flushed."""
+"""Files written whole or not at all, and flushed; a folder to which one run at a time writes."""
 
 from __future__ import annotations
 
+import datetime as dt
+import fcntl
 import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import BinaryIO
 
-from pipeline.errors import StoreError
+from pipeline.errors import LockedError, StoreError
 
 TEMPORARY_PREFIX = ".writing-"
 # Tables hold no secrets, and analysts are other users.
 MODE = 0o644
 BUFFER = 1 << 20
+INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 # Content of a file, or a function that writes it to a stream.
 Write = Callable[[BinaryIO], object] | bytes
@@ -28,8 +35,8 @@ class Prepared:
     path: Path  # its place
     temporary: Path  # the file
 
-    def land(self, *, flush: bool = True) -> None:
-        """Rename it to its place; not to `flush` its folder is for one who does so later.
+    def land(self) -> None:
+        """Rename it to its place; its folder is still to be flushed.
 
         Raises StoreError if that fails; the place then holds the old file, or already the new one.
         """
@@ -39,8 +46,6 @@ class Prepared:
             except BaseException:
                 self.drop()
                 raise
-            if flush:
-                flush_path(self.path.parent)
 
     def drop(self) -> None:
         """Remove it; its place stays as it is."""
@@ -78,7 +83,10 @@ def put(path: Path, write: Write, *, durable: bool = True) -> None:
     Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
     its folder, fails, the new file may be there already.
     """
-    prepare(path, write, durable=durable).land(flush=durable)
+    prepare(path, write, durable=durable).land()
+    if durable:
+        with store_errors(path):
+            flush_path(path.parent)
 
 
 def make_folders(folder: Path) -> None:
@@ -115,12 +123,11 @@ def remove(path: Path) -> None:
         flush_path(path.parent)
 
 
-def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
-    """Remove temporary files of a killed run from some folders, and from those below them."""
-    for folder in folders:
-        for path in folder.glob(f"{'**/' if below else ''}{TEMPORARY_PREFIX}*"):
-            with suppress(OSError):
-                path.unlink()
+def remove_leftovers(folder: Path, *, below: bool = False) -> None:
+    """Remove temporary files of a killed run from a folder, and from those below it."""
+    for path in folder.glob(f"{'**/' if below else ''}{TEMPORARY_PREFIX}*"):
+        with suppress(OSError):
+            path.unlink()
 
 
 @contextmanager
@@ -132,3 +139,63 @@ def store_errors(path: Path, what: str = "written") -> Iterator[None]:
         code = "store_read" if what == "read" else "store_write"
         why = error.strerror or error
         raise StoreError(code, f"{path.name} cannot be {what}: {why}") from error
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run; the lock ends with the process, however that ends.
+
+    Raises LockedError if another run holds it; StoreError if it cannot be locked.
+    """
+    holder = (
+        f"process {os.getpid()} on {socket.gethostname()} "
+        f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+    )
+    try:
+        make_folders(folder)
+        stream = (folder / "lock").open("a+", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            "store_write", f"{folder} cannot be written: {error.strerror}; choose another output"
+        ) from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            stream.seek(0)
+            holder = stream.read().strip() or "unknown"
+            raise LockedError("locked", f"another run writes to this output: {holder}") from None
+        except OSError as error:
+            raise StoreError(
+                "store_write", f"{folder} cannot be locked: {error.strerror}; choose a local folder"
+            ) from error
+        # On a full disk nobody learns who holds the lock; it is held all the same.
+        with suppress(OSError):
+            os.truncate(stream.fileno(), 0)
+            os.write(stream.fileno(), holder.encode())
+        yield
+
+
+@contextmanager
+def interrupts_held() -> Iterator[list[int]]:
+    """Hold back a first signal, and yield the list of those that came; a second one acts."""
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield came  # signals go to the main thread
+        return
+
+    def hold(number: int, _: FrameType | None) -> None:
+        if came:
+            signal.signal(number, before[number])
+            signal.raise_signal(number)
+        came.append(number)
+
+    before = {int(number): signal.signal(number, hold) for number in INTERRUPTS}
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in came:
+        with suppress(KeyboardInterrupt):  # the caller stops where it thinks fit
+            signal.raise_signal(number)

@@ -12,10 +12,11 @@ import logging
 import os
 import socket
 import threading
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
-import polars as pl
 from pydantic import AwareDatetime, TypeAdapter
 
 from pipeline.errors import MotorLeakageError, StoreError
@@ -135,13 +136,14 @@ class Heartbeat:
 
 def last_good_run(output: Path) -> dt.datetime | None:
     """End of the last run after which no failure stands; None without one that can be read."""
+    ends = (run["finished_at"] for run in runs_back(output) if run["status"] == GOOD_RUN)
+    return next(ends, None)
+
+
+def runs_back(output: Path) -> Iterator[Mapping[str, Any]]:
+    """Yield rows of `runs`, the newest first, up to one that cannot be read."""
     try:
         for path in reversed(files_of(output, RUNS)):
-            rows = read_table(path, RUNS).filter(pl.col("status") == GOOD_RUN)
-            if not rows.is_empty():
-                ended = rows["finished_at"].max()
-                assert isinstance(ended, dt.datetime)
-                return ended
-    except StoreError as error:
-        log.warning("%s", error)
-    return None
+            yield from reversed(read_table(path, RUNS).sort("started_at").to_dicts())
+    except StoreError:  # which a run mends, or names
+        return

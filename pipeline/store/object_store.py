@@ -1,4 +1,4 @@
-"""A bucket of an object store: S3, Azure or Google.
+"""A bucket of an object store, S3, Azure or Google, and the copy of an output's tables in one.
 
 Credentials come from the environment alone, by the names of each provider's own tools.
 """
@@ -6,13 +6,19 @@ Credentials come from the environment alone, by the names of each provider's own
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
+import json
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from pipeline.errors import StoreError
+from pipeline.store.atomic_files import store_errors
+from pipeline.store.state import read_state_file
 
 # One of these must be set: without any, the client would query the metadata addresses of cloud
 # machines for minutes.
@@ -36,6 +42,10 @@ ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
 # Retries of a failed request, with growing waits in between.
 RETRIES = 5
 PART = 8 << 20
+# At the URL alone: the SHA-256 of each file of the copy.
+MANIFEST = "manifest.json"
+# Requests under way at a time.
+REQUESTS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,3 +190,49 @@ def _is_absent_bucket(error: Exception) -> bool:
 
 def _first_line(error: Exception) -> str:
     return str(error).partition("\n")[0].strip()
+
+
+def copy_output(url: str, output: Path) -> None:
+    """Copy new and changed tables of an output folder to a URL.
+
+    Objects have the names of the files. The copy's own `manifest.json` says what is there; it is
+    written last, so a copy that was broken off is completed by the next one. The caller holds the
+    folder's lock. Files that are no longer published are removed at the end.
+
+    Raises StoreError if the store refuses a request, or a file is not what was published.
+    """
+    store = ObjectStore.at(url)
+    with read_state_file(output) as state:
+        rows = state.rows("SELECT name, sha256 FROM files WHERE sha256 != '' ORDER BY name")
+    manifest = json.dumps({"sha256": dict(rows)}, indent=0).encode()
+    published = _digests(manifest)
+    copied = _digests(store.get(MANIFEST) or b"{}")
+    modified = {stored.key: stored.modified for stored in store.list()}
+    # A newer object than the manifest is of a copy that was broken off.
+    trusted = {
+        key
+        for key, digest in copied.items()
+        if key in modified and modified[key] <= modified[MANIFEST] and published.get(key) == digest
+    }
+
+    def copy(key: str) -> None:
+        path = output / key
+        with store_errors(path, "read"):
+            content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != published[key]:
+            message = f"{path} is not what was published; `fit-fleet --repair` makes it anew"
+            raise StoreError("store_read", message)
+        store.put(key, content)
+
+    with ThreadPoolExecutor(REQUESTS) as pool:
+        list(pool.map(copy, sorted(published.keys() - trusted)))
+    store.put(MANIFEST, manifest)
+    store.remove((copied.keys() - published.keys()) & modified.keys())
+
+
+def _digests(manifest: bytes) -> Mapping[str, str]:
+    """SHA-256 by path below the output; none of a damaged manifest, which is then replaced."""
+    try:
+        return {f"tables/{name}": str(sha) for name, sha in json.loads(manifest)["sha256"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}

@@ -13,16 +13,16 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 
-from pipeline.errors import StoreError
+from pipeline.errors import StoreError, UsageError
 from pipeline.schema import NIGHT_TABLES, NIGHTS, TABLES, TREND_TABLES
-from pipeline.store.atomic_files import move
-from pipeline.store.state import STATE_FILE, State, is_sound, read_state_file
+from pipeline.store.atomic_files import move, remove
+from pipeline.store.state import STATE_FILE, StateDatabase, is_sound, read_state_file
 from pipeline.store.tables import ENDING, MONTH_PREFIX, days_of, files_of, from_parquet, name_of
 
 TABLE_OF = {table.name: table for table in TABLES}
@@ -36,6 +36,14 @@ NO_FILE = ""
 PART_OF_A_RUN = 1 / 30
 # Ending of a damaged file: no reader takes it for a table.
 ASIDE = ".damaged"
+# Tables that may be pruned, and what is lost with each.
+LOSSES: Mapping[str, str] = {
+    "predictions": "the report's course of measured and predicted flow",
+    "residual_tests": "tests of the fit's errors, and their correlations lag by lag",
+    "error_budget": "the share of each tolerance in ±; the sum stays in fits and parameters",
+    "blocks": "a changed setting of the fit then needs the logs of these nights, and "
+    "a watch that is made anew begins with the first night that is left",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +60,7 @@ class TableFault:
         return f"{self.code}: {self.path}: {self.message}"
 
 
-def announce(state: State, coming: Mapping[str, str | None]) -> None:
+def announce(state: StateDatabase, coming: Mapping[str, str | None]) -> None:
     """Note what comes into the places of files: SHA-256 by name; None: the file goes."""
     state.write_all(
         "INSERT INTO files (name, sha256, coming) VALUES (?, '', ?)"
@@ -61,7 +69,7 @@ def announce(state: State, coming: Mapping[str, str | None]) -> None:
     )
 
 
-def note(state: State, files: Mapping[str, str | None]) -> None:
+def note(state: StateDatabase, files: Mapping[str, str | None]) -> None:
     """Note files that are in their places: SHA-256 by name; None: there is none."""
     now = dt.datetime.now(dt.UTC).isoformat()
     rows = [
@@ -97,13 +105,13 @@ class VerifiedFile:
     fault: TableFault | None = None
 
 
-def accepted_digests(state: State, name: str) -> frozenset[str]:
+def accepted_digests(state: StateDatabase, name: str) -> frozenset[str]:
     """Return digests that a file may have; none where it is not listed."""
     listed = state.rows("SELECT sha256, coming FROM files WHERE name = ?", name)
     return frozenset(digest for row in listed for digest in row if digest is not None)
 
 
-def verify_file(state: State, name: str) -> VerifiedFile:
+def verify_file(state: StateDatabase, name: str) -> VerifiedFile:
     """Read a file and compare it.
 
     One with a fault is read twice: a run may have published it in between, or a read have failed.
@@ -113,7 +121,7 @@ def verify_file(state: State, name: str) -> VerifiedFile:
     return file if file.fault is None else _verify(state, name)
 
 
-def _verify(state: State, name: str) -> VerifiedFile:
+def _verify(state: StateDatabase, name: str) -> VerifiedFile:
     accepted = accepted_digests(state, name)
     try:
         content = (state.output / "tables" / name).read_bytes()
@@ -153,7 +161,7 @@ def _remedy(name: str) -> str:
     return "nothing makes it anew"
 
 
-def verify_files(state: State, due: Collection[str] | None = ()) -> Iterator[VerifiedFile]:
+def verify_files(state: StateDatabase, due: Collection[str] | None = ()) -> Iterator[VerifiedFile]:
     """Read the files that are gone, were written to since, are not listed, or due; None: all."""
     rows = state.rows("SELECT name, size, modified_ns FROM files WHERE coming IS NULL")
     as_noted = {name for name, *stamp in rows if tuple(stamp) == _stamp(state.output, name)}
@@ -168,13 +176,13 @@ def _published_names(output: Path) -> Iterator[str]:
     return (name_of(output, path) for table in TABLES for path in files_of(output, table))
 
 
-def longest_unproven(state: State) -> set[str]:
+def longest_unproven(state: StateDatabase) -> set[str]:
     """Return names of the files that a run reads, though nobody has written to them."""
     names = state.rows("SELECT name FROM files ORDER BY proven, name")
     return {name for (name,) in names[: ceil(len(names) * PART_OF_A_RUN)]}
 
 
-def set_aside(state: State, name: str) -> None:
+def set_aside(state: StateDatabase, name: str) -> None:
     """Rename a damaged file; the next run finds it gone, and lets it be made anew."""
     path = state.output / "tables" / name
     with suppress(FileNotFoundError):
@@ -199,3 +207,62 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
         for name in sorted(set(there).difference(_published_names(output))):
             message = "it was not published by a run; delete it"
             yield TableFault(name, "table_unlisted", message)
+
+
+@dataclass(frozen=True, slots=True)
+class OldFiles:
+    """Files of a table that are to be removed, and what is lost with them."""
+
+    table: str
+    # First and last night that they may have.
+    first: dt.date
+    last: dt.date
+    names: tuple[str, ...]
+    size_bytes: int
+    loss: str
+
+
+def require_prunable(tables: Sequence[str]) -> None:
+    """Raise UsageError (``prune_table``) for a table that cannot be pruned."""
+    if strangers := sorted(set(tables) - LOSSES.keys()):
+        raise UsageError(
+            "prune_table",
+            f"{', '.join(strangers)} cannot be pruned; tables that can: {', '.join(LOSSES)}",
+        )
+
+
+def old_files(
+    output: Path, kept: Mapping[str, int], newest_night: dt.date | None
+) -> tuple[OldFiles, ...]:
+    """Files older than the days kept of each table, back from the newest night; None: none are.
+
+    A file of a month is as old as the last night of it.
+    """
+    found = []
+    for table in TABLES:
+        if newest_night is None or table.name not in kept:
+            continue
+        first_kept = newest_night - dt.timedelta(days=kept[table.name] - 1)
+        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_kept]
+        if old:
+            first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
+            names = tuple(name_of(output, path) for path in old)
+            size = sum(path.stat().st_size for path in old)
+            found.append(OldFiles(table.name, first, last, names, size, LOSSES[table.name]))
+    return tuple(found)
+
+
+def prune(state: StateDatabase, old: Sequence[OldFiles]) -> None:
+    """Remove such files; the caller holds the output's lock.
+
+    Raises StoreError if the state cannot be written or a file not be removed; pruning again does
+    the rest.
+    """
+    names = [name for months in old for name in months.names]
+    announce(state, dict.fromkeys(names))
+    for name in names:
+        path = state.output / "tables" / name
+        remove(path)
+        with suppress(OSError):  # not empty
+            path.parent.rmdir()
+    note(state, dict.fromkeys(names))

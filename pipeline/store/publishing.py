@@ -15,7 +15,7 @@ import datetime as dt
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -28,22 +28,37 @@ import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, frame, staged_table
-from pipeline.store.atomic_files import Prepared, flush_path, prepare, store_errors
+from pipeline.schema import TABLES, TIMESTAMP, Table, frame, staged_table
+from pipeline.store.atomic_files import Prepared, flush_path, prepare, put, store_errors
 from pipeline.store.published import NO_FILE, announce, note, set_aside, verify_file
-from pipeline.store.state import State
+from pipeline.store.state import StateDatabase
 from pipeline.store.tables import (
+    ENDING,
     as_parquet,
     damaged,
+    files_of,
     from_parquet,
     label_of,
     labelled_file,
     name_of,
+    table_folder,
     whole_file,
 )
 
 # In place of the SHA-256 of a file that is replaced in any case.
 UNREAD = "unread"
+
+# Views of all tables for DuckDB, and its names of types.
+VIEWS = "views.sql"
+TYPES = {
+    pl.String: "VARCHAR",
+    pl.Int64: "BIGINT",
+    pl.Float64: "DOUBLE",
+    pl.Float32: "FLOAT",
+    pl.Boolean: "BOOLEAN",
+    pl.Date: "DATE",
+    TIMESTAMP: "TIMESTAMPTZ",
+}
 
 # Rows of one table, by night.
 StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
@@ -142,7 +157,7 @@ class NewFile:
 class Publisher:
     """Publishes the rows that the tasks of a run have staged."""
 
-    state: State
+    state: StateDatabase
     staging: Path  # the run's folder of staged rows
     run_id: str  # goes into every row
 
@@ -245,7 +260,7 @@ class Publisher:
             new = {name: its.prepared for name, its in named.items() if its.prepared is not None}
             announce(self.state, {name: named[name].sha256 for name in new})
             for prepared in new.values():
-                prepared.land(flush=False)
+                prepared.land()
             for folder in sorted({prepared.path.parent for prepared in new.values()}):
                 with store_errors(folder):
                     flush_path(folder)
@@ -281,3 +296,55 @@ def _with_rows(
     if replaced is not None:
         kept = kept.join(replaced, on=replaced.columns, how="anti")
     return pl.concat([before, pl.concat([kept, rows]).sort(table.order), after])
+
+
+def write_views(output: Path) -> None:
+    """Write `views.sql`, with paths relative to its folder.
+
+    Raises StoreError if it cannot be written.
+    """
+    head = f"-- Views of all tables; made by each run. In this folder: duckdb -init {VIEWS}\n"
+    tables = (_view(output, table) for table in TABLES)
+    text = "\n".join([head, *tables, *_comments()]) + "\n"
+    if not (output / VIEWS).exists() or (output / VIEWS).read_text("utf-8") != text:
+        put(output / VIEWS, text.encode())
+
+
+def _view(output: Path, table: Table) -> str:
+    """Return statement that makes a table's view; one without a file yet has no rows."""
+    files = f"{table_folder(Path(), table).as_posix()}/**/*{ENDING}"
+    how = "union_by_name = true, hive_partitioning = false"
+    rows = f"SELECT * FROM read_parquet('{files}', {how})"
+    if not files_of(output, table):
+        columns = ", ".join(f"NULL::{kind} AS {name}" for name, kind in _columns(table))
+        rows = f"SELECT {columns} WHERE false"
+    return f"CREATE OR REPLACE VIEW {table.name} AS {rows};"
+
+
+def _columns(table: Table) -> Iterator[tuple[str, str]]:
+    """Yield columns of a table with DuckDB's names of their types."""
+    for name, kind in table.schema.items():
+        yield f'"{name}"', _type(kind)
+
+
+def _type(kind: object) -> str:
+    if isinstance(kind, pl.List):
+        return f"{_type(kind.inner)}[]"
+    if isinstance(kind, pl.Struct):
+        return f"STRUCT({', '.join(f'{field.name} {_type(field.dtype)}' for field in kind.fields)})"
+    return next(text for known, text in TYPES.items() if kind == known)
+
+
+def _comments() -> Iterator[str]:
+    """Yield statements with the words of the dictionary, for views that are there."""
+    for table in TABLES:
+        yield f"COMMENT ON VIEW {table.name} IS {_text(f'One row is {table.row}')};"
+        for column in table.columns:
+            unit = f" [{column.unit}]" if column.unit else ""
+            words = _text(f"{column.description}{unit}")
+            yield f'COMMENT ON COLUMN {table.name}."{column.name}" IS {words};'
+
+
+def _text(words: str) -> str:
+    """Return a text of SQL."""
+    return "'" + words.replace("'", "''") + "'"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -77,7 +77,7 @@ CREATE TABLE decisions (
 """
 
 
-class State:
+class StateDatabase:
     """The open state file of an output folder."""
 
     def __init__(self, output: Path, connection: sqlite3.Connection) -> None:
@@ -137,7 +137,7 @@ def _errors(code: str) -> Iterator[None]:
 
 
 @contextmanager
-def open_state(output: Path) -> Iterator[State]:
+def open_state(output: Path) -> Iterator[StateDatabase]:
     """Open the state file for changes; it is made where there is none.
 
     Raises StoreError: ``store_write``; ``store_newer``, ``store_older``: it is of another version
@@ -153,7 +153,7 @@ def open_state(output: Path) -> Iterator[State]:
             check_same_thread=False,  # tasks are drawn by other threads, too
         )
     with closing(connection):
-        state = State(output, connection)
+        state = StateDatabase(output, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             state.write(f"PRAGMA {pragma}")
         if _version(state) == 0:
@@ -164,7 +164,7 @@ def open_state(output: Path) -> Iterator[State]:
 
 
 @contextmanager
-def read_state_file(output: Path) -> Iterator[State]:
+def read_state_file(output: Path) -> Iterator[StateDatabase]:
     """Open the state file for reading; an empty one where there is none.
 
     Raises StoreError as `open_state`.
@@ -174,11 +174,11 @@ def read_state_file(output: Path) -> Iterator[State]:
         with _errors("store_read"):
             state = None
             if place.exists():
-                state = State(output, stack.enter_context(closing(_reader(place))))
+                state = StateDatabase(output, stack.enter_context(closing(_reader(place))))
             # Where a first run has only just begun there is nothing in it yet.
             if state is None or not _version(state):
                 empty = sqlite3.connect(":memory:", isolation_level=None)
-                state = State(output, stack.enter_context(closing(empty)))
+                state = StateDatabase(output, stack.enter_context(closing(empty)))
                 _make_tables(state)
         state.write("PRAGMA query_only = ON")
         yield state
@@ -199,13 +199,13 @@ def _reader(place: Path) -> sqlite3.Connection:
     return connection
 
 
-def _make_tables(state: State) -> None:
+def _make_tables(state: StateDatabase) -> None:
     for statement in SCHEMA.split(";\n"):
         state.write(statement)
     state.write(f"PRAGMA user_version = {VERSION}")
 
 
-def _version(state: State) -> int:
+def _version(state: StateDatabase) -> int:
     ((version,),) = state.rows("PRAGMA user_version")
     if version > VERSION:
         message = f"{STATE_FILE} is of version {version}; update the program"
@@ -216,11 +216,11 @@ def _version(state: State) -> int:
     return int(version)
 
 
-def make_ready(output: Path, newest_run: str = "") -> None:
+def make_ready(output: Path, newest_run: Mapping[str, Any] | None = None) -> None:
     """At a run's start: put aside a damaged state file, or an output of an earlier version.
 
-    One that knows nothing of the `newest_run` in the tables, by its start, was restored, and is as
-    good as damaged. What is gone is then made anew. Wherever that is broken off, the next run goes
+    One that knows nothing of the `newest_run` in the tables was restored, and is as good as
+    damaged. What is gone is then made anew. Wherever that is broken off, the next run goes
     on. Raises StoreError if a file cannot be moved, or is of a newer version of the program.
     """
     version = _version_of(output / STATE_FILE)
@@ -228,7 +228,7 @@ def make_ready(output: Path, newest_run: str = "") -> None:
         _put_aside(output, STATE_FILES, f"{STATE_FILE} is damaged, and made anew from the tables")
     elif 0 < version < VERSION:
         _put_aside(output, OUTPUT, "the output is of an earlier version")
-    elif version and _is_older(output, newest_run):
+    elif version and newest_run and _is_older(output, newest_run["started_at"].isoformat()):
         _put_aside(output, STATE_FILES, f"{STATE_FILE} is older than the tables")
     elif version == 0 and (output / "tables").is_dir():
         log.warning("%s is gone; it is made anew from logs and tables", STATE_FILE)

@@ -24,7 +24,6 @@ from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import NIGHTLY_TABLES, SCHEMA_VERSION, Table
-from pipeline.store.atomic_files import put
 
 MONTH_PREFIX = "month="
 ENDING = ".parquet"
@@ -69,11 +68,6 @@ def label_of(table: Table, night: dt.date) -> str:
 def labelled_file(output: Path, table: Table, label: str) -> Path:
     """Return file of a night, YYYY-MM-DD, or of a month, YYYY-MM."""
     return table_folder(output, table) / f"{MONTH_PREFIX}{label[:7]}" / f"{label}{ENDING}"
-
-
-def night_file(output: Path, table: Table, night: dt.date) -> Path:
-    """Return file that has a night."""
-    return labelled_file(output, table, label_of(table, night))
 
 
 def name_of(output: Path, path: Path) -> str:
@@ -177,11 +171,6 @@ def read_rows(
         wanted["night"] = nights
     paths = files_of(output, table, nights) if all(wanted.values()) else []
     return pl.concat([empty, *(read_table(path, table, columns, wanted) for path in paths)])
-
-
-def write_table(path: Path, rows: pl.DataFrame) -> None:
-    """Write a table file whole or not at all; raises StoreError."""
-    put(path, as_parquet(rows))
 
 
 def as_parquet(rows: pl.DataFrame) -> bytes:

@@ -20,7 +20,7 @@ from pipeline.logs.processed import (
 )
 from pipeline.schema import NIGHTS
 from pipeline.schema.fits import WITH_SAMPLES
-from pipeline.store.state import State
+from pipeline.store.state import StateDatabase
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.trend_record import Record, read_checkpoint, read_records, trend_hash
@@ -127,7 +127,9 @@ class NewestNight:
         return self.further.get(motor_id, self.night)
 
 
-def newest_night_of(state: State, motor_ids: Sequence[str], latest: dt.date) -> NewestNight | None:
+def newest_night_of(
+    state: StateDatabase, motor_ids: Sequence[str], latest: dt.date
+) -> NewestNight | None:
     """Return newest night, be its row published or not; None where no motor has kept a sample.
 
     A night known of an unreadable log only, or that lies in the future, after `latest`, is not
@@ -198,7 +200,7 @@ class TrendOutcome:
 
 def trend_tasks(
     specs: Sequence[MotorSpec],
-    state: State,
+    state: StateDatabase,
     staging: Path,
     changed_from: Mapping[str, dt.date | None],
     newest_night: NewestNight,

@@ -17,9 +17,9 @@ from typing import Literal
 from pipeline.errors import LockedError, StoreError
 from pipeline.messages import counted
 from pipeline.schema import DECISIONS, frame
-from pipeline.store.locks import locked
+from pipeline.store.atomic_files import locked
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import State, open_state, read_state_file
+from pipeline.store.state import StateDatabase, open_state, read_state_file
 from pipeline.store.tables import read_table, whole_file
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ def read_decisions(output: Path) -> tuple[Decision, ...]:
         return _read(state)
 
 
-def restore_decisions(state: State) -> None:
+def restore_decisions(state: StateDatabase) -> None:
     """Put back what the table has and a lost or older state file lacks.
 
     Raises StoreError if the state cannot be read or written.
@@ -92,7 +92,7 @@ def restore_decisions(state: State) -> None:
         log.warning("put back from the table `decisions`: %s", counted(len(lost), "decision"))
 
 
-def publish_decisions(state: State, run_id: str) -> None:
+def publish_decisions(state: StateDatabase, run_id: str) -> None:
     """Publish the table `decisions`, of what it has and what the state file has.
 
     Raises StoreError if it cannot be written.
@@ -103,7 +103,7 @@ def publish_decisions(state: State, run_id: str) -> None:
     Publisher(state, state.output, run_id).whole(DECISIONS, table)
 
 
-def _write(state: State, decisions: Iterable[Decision]) -> None:
+def _write(state: StateDatabase, decisions: Iterable[Decision]) -> None:
     state.write_all(
         "INSERT INTO decisions VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
         [
@@ -116,7 +116,7 @@ def _write(state: State, decisions: Iterable[Decision]) -> None:
     )
 
 
-def _read(state: State) -> tuple[Decision, ...]:
+def _read(state: StateDatabase) -> tuple[Decision, ...]:
     columns = ", ".join(Decision.__slots__)
     decisions = (
         Decision(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
-from pipeline.store.state import State
+from pipeline.store.state import StateDatabase
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -38,7 +38,7 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
     return hash_of({"version": TRENDS_VERSION, "config": config_hash(spec), "resets": resets})
 
 
-def read_records(state: State) -> dict[str, Record]:
+def read_records(state: StateDatabase) -> dict[str, Record]:
     """Return records of the trends of all motors, by motor."""
     rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from FROM trends")
     return {
@@ -51,14 +51,14 @@ def read_records(state: State) -> dict[str, Record]:
     }
 
 
-def read_checkpoint(state: State, motor_id: str) -> bytes | None:
+def read_checkpoint(state: StateDatabase, motor_id: str) -> bytes | None:
     """Return a motor's checkpoint, which saves its watch being made anew; None without any."""
     rows = state.rows("SELECT checkpoint FROM trends WHERE motor_id = ?", motor_id)
     return rows[0][0] if rows else None
 
 
 def write_record(
-    state: State, motor_id: str, record: Record, checkpoint: bytes | None = None
+    state: StateDatabase, motor_id: str, record: Record, checkpoint: bytes | None = None
 ) -> None:
     """Write the record of a motor's trends, and its checkpoint; raises StoreError."""
     state.write(
@@ -71,7 +71,7 @@ def write_record(
     )
 
 
-def note_touched(state: State, touched: Iterable[tuple[str, dt.date]]) -> None:
+def note_touched(state: StateDatabase, touched: Iterable[tuple[str, dt.date]]) -> None:
     """Mark motors' trends from a night on as out of date, before their rows change.
 
     If the run is broken off before its trends, the next one makes them."""

@@ -80,7 +80,7 @@ def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tupl
     tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):
         raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
-    remove_leftovers([folder], below=False)
+    remove_leftovers(folder)
     for table in request.tables:
         yield _export_table(output, folder, table, request)
 

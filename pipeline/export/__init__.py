@@ -1,4 +1,0 @@
-"""Published tables as CSV.
-
-Imports `store` and `schema`.
-"""
