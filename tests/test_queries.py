@@ -11,9 +11,9 @@ import polars as pl
 import pytest
 
 from pipeline.schema import ERROR_BUDGET, LATEST, NIGHTS, QUALITY, TRENDS, Table, frame
-from pipeline.store.tables import whole_file, write_table
-from pipeline.store.views import write_views
-from tests.pipeline.written import write_nights
+from pipeline.store.publishing import write_views
+from pipeline.store.tables import whole_file
+from tests.pipeline.written import write_nights, write_table
 from tests.query_page import PAGE, answer, questions
 
 Rows = list[dict[str, Any]]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import signal
 import time
 from collections.abc import Callable
@@ -62,11 +61,6 @@ def hang_in_c() -> None:
     ctypes.PyDLL(None).sleep(1000)
 
 
-def hang_in_a_pattern() -> None:
-    """Backtracks for longer than the universe is old."""
-    re.fullmatch(r"(a|a)*b", "a" * 200)
-
-
 def stop() -> None:
     """As a debugger does: nothing but SIGKILL ends a stopped process."""
     sign_of_life("a night")
@@ -85,20 +79,10 @@ def eat_with_numpy() -> None:
     eat(lambda: np.ones(GIB // 16))
 
 
-def eat_with_python() -> None:
-    eat(lambda: bytes(GIB // 2))
-
-
 def eat_with_polars() -> None:
     import polars as pl
 
     eat(lambda: pl.select(pl.int_range(GIB // 16, dtype=pl.Int64)))
-
-
-def eat_with_arrow() -> None:
-    import pyarrow as pa
-
-    eat(lambda: pa.allocate_buffer(GIB // 2))
 
 
 def eat_at_once() -> None:
@@ -113,15 +97,14 @@ def kill() -> None:
 
 
 MISBEHAVIOUR: dict[str, Callable[[], None]] = {
-    one.__name__: one
-    for one in (
-        *(raise_error, panic, hang_in_python, hang_in_c, hang_in_a_pattern, stop, kill),
-        *(eat_with_numpy, eat_with_python, eat_with_polars, eat_with_arrow, eat_at_once),
-    )
-} | {
     "segfault": lambda: ctypes.string_at(8),
-    "abort": os.abort,
-    "leave": lambda: os._exit(0),
+    **{
+        misbehaviour.__name__: misbehaviour
+        for misbehaviour in (
+            *(raise_error, panic, hang_in_python, hang_in_c, stop, kill),
+            *(eat_with_numpy, eat_with_polars, eat_at_once),
+        )
+    },
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,10 +11,21 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.schema import Table
+from pipeline.store.atomic_files import put
 from pipeline.store.published import note
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import open_state
-from pipeline.store.tables import name_of, night_file, write_table
+from pipeline.store.tables import as_parquet, label_of, labelled_file, name_of
+
+
+def night_file(output: Path, table: Table, night: dt.date) -> Path:
+    """The file that has a night."""
+    return labelled_file(output, table, label_of(table, night))
+
+
+def write_table(path: Path, rows: pl.DataFrame) -> None:
+    """A table file that the state file does not list."""
+    put(path, as_parquet(rows))
 
 
 @contextmanager
@@ -30,13 +42,14 @@ def write_nights(output: Path, table: Table, rows: pl.DataFrame) -> None:
     files: defaultdict[Path, list[pl.DataFrame]] = defaultdict(list)
     for (night,), part in rows.partition_by("night", as_dict=True).items():
         files[night_file(output, table, night)].append(part)
-    digests = {}
+    listed: dict[str, str | None] = {}
     for path, parts in files.items():
         new = pl.concat(parts)
         if path.exists():
             before = pl.read_parquet(path, hive_partitioning=False)
             kept = before.filter(~pl.col("night").is_in(new["night"].unique().implode()))
             new = pl.concat([kept, new], how="diagonal")
-        digests[name_of(output, path)] = write_table(path, new.sort(table.order))
+        write_table(path, new.sort(table.order))
+        listed[name_of(output, path)] = None
     with open_state(output) as state:
-        note(state, digests)
+        note(state, listed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -200,22 +201,36 @@ def test_nothing_can_be_published_where_a_file_is(small: ScenarioFleet) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "code"),
-    [(signal.SIGTERM, 143), pytest.param(signal.SIGKILL, -9, marks=pytest.mark.full)],
+    ("number", "code", "backend"),
+    [
+        (signal.SIGINT, 130, "loky"),
+        (signal.SIGTERM, 143, "sequential"),
+        pytest.param(signal.SIGKILL, -9, "loky", marks=pytest.mark.full),
+    ],
 )
 def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
-    plant: ScenarioFleet, shared_plant: ScenarioFleet, number: signal.Signals, code: int
+    plant: ScenarioFleet,
+    shared_plant: ScenarioFleet,
+    number: signal.Signals,
+    code: int,
+    backend: str,
 ) -> None:
+    """By a signal to the run and its workers, as a terminal sends it."""
     plant.output.rename(plant.folder / "before")
+    plant.change("fleet.toml", '"sequential"', f'"{backend}"')
     words = ("fit-fleet", "--motors", "broken worn", "--until", str(plant.label(10)))
     command = [sys.executable, "-m", "pipeline.cli", words[0], str(plant.config), *words[1:]]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
         while stage_of(plant) != "motors":
             assert process.poll() is None
             time.sleep(0.01)
         second = plant.run(*words)
-        process.send_signal(number)
-        assert process.wait() == code
+        os.killpg(process.pid, number)
+        said, _ = process.communicate()
+        assert process.returncode == code
+    assert ("interrupted; " in said) is (code > 0)
     assert second.code == 3
     assert f"process {process.pid}" in second.err
     assert plant.run(*words).code == 0

@@ -9,8 +9,7 @@ import polars as pl
 import pytest
 
 from tests.pipeline.faults.crash import FAULTS, Fault, victim_in
-from tests.pipeline.notification.fleet import keep, told
-from tests.pipeline.notification.servers import hook
+from tests.pipeline.notification.servers import hook, keep, told
 from tests.pipeline.notification.test_mail import serving
 from tests.scenarios.command import run_command
 from tests.scenarios.covering import covers

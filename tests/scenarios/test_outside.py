@@ -24,6 +24,7 @@ from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet
 
 SECRET = b"a secret of twenty-four."
+HOOK = "/S3CRET?key=S3CRET"
 # Columns of `latest` that are metrics of the same name.
 METRICS = (
     *("leakage_change_percent", "leakage_change_lower", "leakage_change_upper"),
@@ -59,7 +60,8 @@ def receivers(folder: Path, web: Hook, mail_port: int) -> str:
     return f"""
 [alarms]
 command = {command}
-webhook_url = "{web.url()}"
+webhook_url = "{web.url(HOOK)}"
+webhook_headers = {{ Authorization = "Bearer ${{HOOK_SECRET}}" }}
 webhook_secret = "${{HOOK_SECRET}}"
 [alarms.email]
 to = ["shift@plant.example"]
@@ -83,9 +85,10 @@ def test_receivers_get_the_rows_of_alarms_once(plant: ScenarioFleet) -> None:
         assert plant.run("fit-fleet", HOOK_SECRET=secret).code == 0
         assert (web.posts, list(mails)) == ([], [])  # new receivers get what is new
         raise_alarms(plant, 15.0)
-        web.answers["/hook"] = (503, "")
-        plant.run("fit-fleet", HOOK_SECRET=secret)
-        (fleet,) = plant.run("status", "--json", HOOK_SECRET=secret).events("fleet")
+        web.answers[HOOK] = (503, "")
+        said = [plant.run("fit-fleet", HOOK_SECRET=secret)]
+        said += [plant.run("status", *form, HOOK_SECRET=secret) for form in ((), ("--json",))]
+        (fleet,) = said[-1].events("fleet")
         waiting = {receiver["receiver"]: receiver["undelivered"] for receiver in fleet["receivers"]}
         refused = web.posts[-1]
         web.answers.clear()
@@ -117,6 +120,13 @@ def test_receivers_get_the_rows_of_alarms_once(plant: ScenarioFleet) -> None:
     assert "broken alarm" in mail["Subject"]
     text = mail.get_content()
     assert all(reason[1:40] in " ".join(text.split()) for _, _, reason in raised)
+    # Nothing of path, query or token is left anywhere.
+    assert taken.headers["authorization"] == f"Bearer {secret}"
+    written = [path for path in plant.output.rglob("*") if path.is_file()]
+    words = "".join(done.out + done.err for done in said).encode()
+    for content in (words, *(path.read_bytes() for path in written)):
+        assert b"S3CRET" not in content
+        assert secret.encode() not in content
 
 
 def test_metrics_and_heartbeat_say_what_the_tables_say(plant: ScenarioFleet) -> None:

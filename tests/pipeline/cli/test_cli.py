@@ -24,54 +24,6 @@ from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, break_log, without_workers
 
 
-def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
-    code, out, err = call("fit-fleet", fleet)
-    assert (code, err) == (0, "")
-    lines = out.splitlines()
-    done = [f"{motor}: no_new_data (nothing to do)" for motor in (CSV, PARQUET)]
-    assert sorted(lines[:2]) == done
-    assert lines[2].startswith("0 nights of 2 motors in ")
-    assert "; logs: 0 read, 6 unchanged, 0 growing, 0 failed, 0 left; " in lines[2]
-    assert lines[2].endswith(f"; tables in {fleet.parent.parent / 'out' / 'tables'}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--motors", "CB400-09"], "no motor CB400-09; there are CB400-01, CB400-02"),
-        (["--motors", "CB400-01 x y"], "no motor x, y"),
-        (["--since", "yesterday"], "'--since': got 'yesterday'; expected YYYY-MM-DD"),
-        (["--until", "2026-02-30"], "'--until': got '2026-02-30'"),
-        (["--since", "2026-02-02", "--until", "2026-02-01"], "--since 2026-02-02 is after"),
-        (["--jobs", "0"], "--jobs"),
-        (["--jobs", "two"], "--jobs"),
-        (["--fast"], "--fast"),
-        (["--output", "x" * 300], "expected a folder: File name too long"),
-        (["another.toml"], "another.toml"),
-    ],
-)
-def test_2_for_wrong_usage(call: Call, fleet: Path, arguments: list[str], words: str) -> None:
-    code, out, err = call("fit-fleet", fleet, *arguments)
-    assert (code, out) == (2, "")
-    assert words in err
-
-
-def test_2_where_the_output_would_be_the_root_of_the_logs_or_that_is_not_there(
-    call: Call, fleet: Path
-) -> None:
-    """A folder that is not mounted must not pass for a fleet without new logs."""
-    logs = fleet.parent.parent / "demo" / "logs"
-    code, out, err = call("fit-fleet", fleet, "--output", logs)
-    assert (code, out) == (2, "")
-    assert err.startswith("motor-leakage: folder: --output: got ")
-    assert "expected another folder than that of the logs" in err
-    logs.rename(logs.with_name("unmounted"))
-    for command in ("fit-fleet", "check"):
-        code, _, err = call(command, fleet)
-        assert code == 2
-        assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
-
-
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_130_and_143_while_publishing(
     call: Call,
@@ -101,18 +53,6 @@ def test_130_and_143_while_publishing(
     assert (fleet.parent.parent / "out" / "tables" / "trends").exists()
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "nights" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
-
-
-def test_130_of_any_command_says_why(
-    call: Call, fleet: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("pipeline.report.status.fleet_status", interrupted)
-    code, out, err = call("status", fleet)
-    assert (code, out) == (130, "")
-    assert err.strip().startswith("motor-leakage: interrupted: stopped by SIGINT (Ctrl-C); ")
 
 
 def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> None:
@@ -152,15 +92,6 @@ def test_a_terminal_has_a_bar_of_nights(own_fleet: OwnFleet) -> None:
     text = drawn_by("fit-fleet", without_workers(own_fleet(PARQUET)))
     assert "nights" in text
     assert "3/3" in text
-
-
-def test_init_has_a_bar_of_logs(own_fleet: OwnFleet, tmp_path: Path) -> None:
-    fleet = own_fleet(PARQUET)
-    logs = fleet.parent.parent / "demo" / "logs" / PARQUET
-    n_logs = len(list(logs.iterdir()))
-    text = drawn_by("init", logs, "--to", tmp_path / "new", "--answer", "time_zone=UTC")
-    assert "logs" in text
-    assert f"{n_logs}/{n_logs}" in text
 
 
 def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:

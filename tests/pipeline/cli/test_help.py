@@ -75,7 +75,7 @@ STATUS = """
 import contextlib, sys, pipeline.cli.state as s; from pathlib import Path; from typer import Exit
 with contextlib.suppress(Exit): s.status(Path(sys.argv[1]))"""
 RUN = """
-import pipeline.run.fleet; from pipeline.cli.progress import progress_bar
+import pipeline.run.fleet; from pipeline.cli.arguments import progress_bar
 with progress_bar("nights"): pass"""
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from pipeline.config import load_fleet
 from pipeline.config.section import Section
-from pipeline.schema import LATEST, NIGHTS, TABLES, Table
 from tests.reference_pages import FILES, PAGES, main
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -70,14 +69,3 @@ def test_the_example_is_a_fleet() -> None:
     assert motor.file.oil_on(dt.date(2026, 8, 31)) == "vg68"
     assert motor.file.oil_on(dt.date(2026, 9, 1)) == "vg46"
     assert motor.file.logs.separator == ";"
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_every_column_is_on_the_page(table: Table) -> None:
-    shared, *parts = re.split(r"^## ", PAGES["tables.md"](), flags=re.MULTILINE)
-    (part,) = (one for one in parts if one.startswith(f"{table.name}\n"))
-    part += "".join(line for line in shared.splitlines() if f"`{table.name}`" in line)
-    own = [
-        column for column in table.columns if table is not LATEST or column not in NIGHTS.columns
-    ]
-    assert {one.name for one in own} <= set(re.findall(r"`(\w+)`", part))

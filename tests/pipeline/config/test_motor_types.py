@@ -14,8 +14,8 @@ from pipeline.config import MotorSpec, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import FITS, NIGHTS, PARAMETERS
 from pipeline.schema.fits import OK
-from pipeline.store.tables import night_file
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
+from tests.pipeline.written import night_file
 
 X_CLEARANCE_BAR, X_PLATE_BAR = 150.0, 700.0
 

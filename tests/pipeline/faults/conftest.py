@@ -66,4 +66,4 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
 @pytest.fixture
 def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
     """Proofs of a run do not depend on the day on which the test is run."""
-    monkeypatch.setattr("pipeline.run.mending.longest_unproven", lambda _: set())
+    monkeypatch.setattr("pipeline.run.output.longest_unproven", lambda _: set())

@@ -20,13 +20,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.config import load_fleet
 from pipeline.schema import FITS, PREDICTIONS, TRENDS
 from pipeline.store.published import verify_tables
-from pipeline.store.tables import night_file
 from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.crash import End, Fault, Victim
-from tests.pipeline.faults.damage import remove_aside, rot, rot_of_footer
 from tests.pipeline.faults.fleet import (
     LATER,
     TinyFleet,
@@ -34,10 +33,15 @@ from tests.pipeline.faults.fleet import (
     check_repaired,
     check_tables,
     remembered_fits,
+    remove_aside,
+    rot,
+    rot_of_footer,
     temporary,
 )
-from tests.pipeline.notification.fleet import keep, told, told_fleet
+from tests.pipeline.notification.servers import keep, told
 from tests.pipeline.simulated import NIGHT
+from tests.pipeline.trends.nights import Nights, configure, publish
+from tests.pipeline.written import night_file
 
 SLICES = 4
 
@@ -62,11 +66,19 @@ class Case:
     repaired: Callable[[Path], None]
 
 
+def check_published(output: Path, old: Path, new: Path, end: End) -> None:
+    """Every file is old or new; of a motor that has failed alone some rows are, others are not."""
+    if end.failed:
+        assert list(verify_tables(output)) == []
+    else:
+        check_old_or_new(output, old, new)
+
+
 def nightly(fleet: TinyFleet, _: Path) -> Case:
     """The next night comes, and a late log of the one before."""
 
     def crashed(output: Path, end: End) -> None:
-        check_old_or_new(output, fleet.before, fleet.after, end.failed)
+        check_published(output, fleet.before, fleet.after, end)
         if end.how != "killed" and end.struck not in ("unlink", "rmdir", "open"):
             assert temporary(output) == []
         if end.how == "ok" and not end.failed:
@@ -83,7 +95,7 @@ def first(fleet: TinyFleet, folder: Path) -> Case:
         fleet.run(folder / "whole")
 
     def crashed(output: Path, end: End) -> None:
-        check_old_or_new(output, folder / "before", folder / "whole", end.failed)
+        check_published(output, folder / "before", folder / "whole", end)
 
     def repaired(output: Path) -> None:
         check_repaired(output, folder / "whole")
@@ -136,16 +148,24 @@ def mending(fleet: TinyFleet, folder: Path) -> Case:
 
 
 def notification(_: TinyFleet, folder: Path) -> Case:
-    """Somebody is told of an alarm: at least once, and what comes twice says so by its id."""
-    told_fleet(folder, keep(folder / "told"))
+    """Somebody is told of an alarm: at least once, and what comes twice says so by its id.
+
+    By the limit of its type a motor is in alarm from its first night on.
+    """
+    alarms = f'[execution]\nbackend = "sequential"\n[alarms]\n{keep(folder / "told")}\n'
+    limits = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = 1.0\n"
+    (spec,) = load_fleet(configure(folder, fleet=alarms, limits=limits)).motors
+    publish(folder / "out", Nights(spec, 3).frames())
     fleet = TinyFleet(folder)
     before = shutil.copytree(folder / "out", folder / "before")
 
     def check(output: Path) -> None:
         found = told(folder)
-        assert len({one["id"] for one in found}) == 1
-        assert [one["to_state"] for one in found[0]["changes"]] == ["alarm"]
+        assert len({delivery["id"] for delivery in found}) == 1
+        assert [change["to_state"] for change in found[0]["changes"]] == ["alarm"]
         (folder / "told").write_text("")
+        fleet.run(output)
+        (output / "state.db").unlink()
         fleet.run(output)
         assert told(folder) == []
 

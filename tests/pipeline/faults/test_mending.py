@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.run.mending import find_damage
+from pipeline.run.output import find_damage
 from pipeline.schema import (
     BLOCKS,
     FITS,
@@ -31,13 +31,25 @@ from pipeline.store.published import (
     verify_files,
     verify_tables,
 )
-from pipeline.store.state import State, open_state
-from pipeline.store.tables import name_of, night_file, read_rows
+from pipeline.store.state import StateDatabase, open_state
+from pipeline.store.tables import name_of, read_rows
+from pipeline.trends.nights.decisions import read_decisions
 from tests.pipeline.calling import contents, refused
-from tests.pipeline.faults.damage import flip, remove_aside, rot, rot_of_footer, told
-from tests.pipeline.faults.fleet import MOTORS, TinyFleet, check_repaired
-from tests.pipeline.remembered import change, processed_of
+from tests.pipeline.faults.conftest import say
+from tests.pipeline.faults.fleet import (
+    MOTORS,
+    TinyFleet,
+    check_repaired,
+    check_tables,
+    codes_of,
+    flip,
+    remove_aside,
+    rot,
+    rot_of_footer,
+)
+from tests.pipeline.remembered import LASTING, change, processed_of
 from tests.pipeline.simulated import NIGHT
+from tests.pipeline.written import night_file
 
 pytestmark = pytest.mark.usefixtures("_quick")
 
@@ -61,7 +73,7 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     damage(path)
     left_over = [path.read_bytes()] if path.exists() else []
     result = tiny_fleet.run(output, repair=True)
-    assert told(result.damage) == [(name_of(output, path), code)]
+    assert codes_of(result.damage) == [(name_of(output, path), code)]
     assert (result.damage_left, result.failed) == ((), ())
     assert f"{code}: {name_of(output, path)}: " in caplog.text
     of_run = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
@@ -83,7 +95,7 @@ def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     rot(path)  # which keeps the time
     assert tiny_fleet.run(output).damage == ()
     path.write_bytes(whole[:-50] + bytes(50))
-    assert told(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
+    assert codes_of(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
 
 
 def test_every_file_has_its_turn_within_thirty_runs(tmp_path: Path) -> None:
@@ -105,11 +117,11 @@ def test_a_file_published_while_a_run_proves_others_stays_as_noted_then(
     """An intraday check publishes beside a run."""
     name = name_of(output, night_file(output, FITS, NIGHT))
 
-    def verified(state: State, due: object) -> Iterator[VerifiedFile]:
+    def verified(state: StateDatabase, due: object) -> Iterator[VerifiedFile]:
         yield from verify_files(state, None)
         note(state, {name: "of the check"})
 
-    monkeypatch.setattr("pipeline.run.mending.verify_files", verified)
+    monkeypatch.setattr("pipeline.run.output.verify_files", verified)
     with open_state(output) as state:
         assert find_damage(state) == ()
         assert state.rows("SELECT sha256 FROM files WHERE name = ?", name) == [("of the check",)]
@@ -129,7 +141,7 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     change(output, "DELETE FROM trends WHERE motor_id = 'M1'")
     result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
-    assert told(result.damage) == [(name_of(output, path), "table_altered")]
+    assert codes_of(result.damage) == [(name_of(output, path), "table_altered")]
     result = tiny_fleet.run(output)
     assert (result.failed, result.damage_left) == ((), ())
     remove_aside(output)
@@ -145,37 +157,6 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
         path.write_bytes(whole)
 
 
-def test_a_file_that_may_not_be_read_is_named_and_left_alone(
-    tiny_fleet: TinyFleet, output: Path
-) -> None:
-    """A folder in its place cannot be read by anybody, whatever rights they have."""
-    path = night_file(output, PREDICTIONS, NIGHT)
-    path.unlink()
-    path.mkdir()
-    result = tiny_fleet.run(output)
-    assert (
-        told(result.damage)
-        == told(result.damage_left)
-        == [(name_of(output, path), "table_unreadable")]
-    )
-    assert path.is_dir()
-
-
-def test_what_is_not_made_anew_without_logs_is_made_once_they_are_back(
-    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet]
-) -> None:
-    fleet, path = without_logs(), night_file(output, PREDICTIONS, NIGHT)
-    kept = read_rows(output, FITS, MOTORS)
-    path.unlink()
-    assert told(fleet.run(output).damage_left) == [(name_of(output, path), "rows_lost")]
-    assert fleet.run(output).damage == ()
-    assert list(verify_tables(output)) == []
-    # Of other tables nothing is made anew for it.
-    assert read_rows(output, FITS, MOTORS).equals(kept, null_equal=True)
-    assert tiny_fleet.run(output).damage_left == ()
-    check_repaired(output, tiny_fleet.after)
-
-
 def test_parameters_are_made_anew_from_stored_blocks(
     output: Path, without_logs: Callable[..., TinyFleet]
 ) -> None:
@@ -189,27 +170,22 @@ def test_parameters_are_made_anew_from_stored_blocks(
     assert list(verify_tables(output)) == []
 
 
-def test_rows_of_a_motor_whose_logs_are_gone_are_named(
-    output: Path, without_logs: Callable[..., TinyFleet]
+def test_rows_of_a_motor_whose_logs_are_gone_are_named_and_made_once_they_are_back(
+    tiny_fleet: TinyFleet, output: Path, without_logs: Callable[..., TinyFleet]
 ) -> None:
     fleet, path = without_logs("M1"), night_file(output, BLOCKS, NIGHT)
+    fits = read_rows(output, FITS, MOTORS)
     path.unlink()
     result = fleet.run(output)
-    assert told(result.damage_left) == [(name_of(output, path), "rows_lost")]
+    assert codes_of(result.damage_left) == [(name_of(output, path), "rows_lost")]
     assert result.damage_left[0].message.startswith("rows of M2 are not made anew: ")
     assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M1"]
-    # What is known of its night still is: the night after is not judged anew.
+    # Of other tables nothing is made anew for it, and what is known of its night still is.
+    assert read_rows(output, FITS, ["M2"]).equals(fits.filter(motor_id="M2"), null_equal=True)
     assert NIGHT in processed_of(output, "M2").nights
     assert fleet.run(output).damage == ()
-
-
-def test_a_file_of_a_run_is_named_and_given_up(tiny_fleet: TinyFleet, output: Path) -> None:
-    path = min((output / "tables" / "runs").rglob("*.parquet"))
-    path.unlink()
-    result = tiny_fleet.run(output)
-    assert told(result.damage) == [(name_of(output, path), "table_missing")]
-    assert result.damage_left == ()
-    assert list(verify_tables(output)) == []
+    assert tiny_fleet.run(output).damage_left == ()
+    check_repaired(output, tiny_fleet.after)
 
 
 def test_damage_is_named_and_made_anew_where_the_state_is_lost_too(
@@ -219,7 +195,7 @@ def test_damage_is_named_and_made_anew_where_the_state_is_lost_too(
     rot(path)
     for state in output.glob("state.*"):
         state.unlink()
-    assert told(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
+    assert codes_of(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)
 
@@ -234,3 +210,21 @@ def test_files_of_a_newer_program_are_kept_where_the_state_is_lost(
     with refused("store_newer"):
         tiny_fleet.run(output)
     assert contents(output / "tables") == before
+
+
+def test_an_output_of_an_earlier_version_is_put_aside_and_made_anew(
+    tiny_fleet: TinyFleet, output: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    say(output)
+    change(output, "PRAGMA user_version = 1")
+    with refused("store_older", "makes it anew from the logs"):
+        read_decisions(output)
+    result = tiny_fleet.run(output)
+    assert "put aside in old-1" in caplog.text
+    assert (result.n_nights, result.damage, result.failed) == (2 * len(MOTORS), (), ())
+    check_tables(output, tiny_fleet.after)
+    assert read_decisions(output) == ()
+    assert {path.name for path in output.iterdir()} == LASTING | {"old-1"}
+    assert {"tables", "views.sql"} < {path.name for path in (output / "old-1").iterdir()}
+    assert tiny_fleet.run(output).n_nights == 0
+    assert not (output / "old-2").exists()

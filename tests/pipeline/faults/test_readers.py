@@ -101,33 +101,6 @@ class Reader(threading.Thread):
                     self.seen.setdefault(key, set()).add(said)
 
 
-@pytest.mark.parametrize("read", [with_polars, with_duckdb])
-def test_the_footer_of_one_state_with_the_pages_of_another_is_refused_or_read_as_one_state(
-    tiny_fleet: TinyFleet, tmp_path: Path, read: Callable[[str], Rows]
-) -> None:
-    """File as seen by an engine that opens it both before and after it is replaced.
-
-    Where all columns with figures lie at the same places, its answer may be the pages' state.
-    """
-    n_refused = 0
-    for path in sorted((tiny_fleet.before / "tables").rglob("*.parquet")):
-        states = [path, tiny_fleet.after / path.relative_to(tiny_fleet.before)]
-        one, two = (state.read_bytes() for state in states)
-        if one == two:
-            continue
-        for old, new in ((one, two), (two, one)):
-            begin = len(old) - 8 - int.from_bytes(old[-8:-4], "little")
-            torn = tmp_path / "torn.parquet"
-            torn.write_bytes(new[:begin].ljust(begin, b"\0") + old[begin:])
-            try:
-                found = read(torn.as_posix())
-            except REFUSED:
-                n_refused += 1
-            else:
-                assert any(found.equals(read(state.as_posix())) for state in states), path
-    assert n_refused > 10
-
-
 @pytest.mark.parametrize("n_runs", [4, pytest.param(40, marks=pytest.mark.full)])
 def test_two_states_are_published_in_turn_under_the_eyes_of_readers(
     tiny_fleet: TinyFleet, tmp_path: Path, n_runs: int

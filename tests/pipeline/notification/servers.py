@@ -1,14 +1,29 @@
-"""Servers on loopback that take a web hook's posts, and some that do not."""
+"""Receivers: a command that keeps what it gets, servers on loopback, and some that take nothing."""
 
 from __future__ import annotations
 
 import http.client
 import http.server
+import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+def keep(path: Path) -> str:
+    """A command that appends each delivery to a file, as a line."""
+    script = 'cat >> "$0"; echo >> "$0"'
+    return f"command = {json.dumps(['/bin/sh', '-c', script, str(path)])}"
+
+
+def told(folder: Path) -> list[dict[str, Any]]:
+    """Deliveries in the file `told` of a folder."""
+    path = folder / "told"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 @dataclass(frozen=True)

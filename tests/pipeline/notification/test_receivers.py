@@ -18,8 +18,7 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.notification.delivery import Delivery, Receiver, UndeliveredError
-from pipeline.notification.receivers import Command
+from pipeline.notification.delivery import Command, Delivery, Receiver, UndeliveredError
 from pipeline.notification.web_hook import WebHook
 from tests.pipeline.notification.servers import Hook, hook, raw
 
@@ -145,7 +144,7 @@ def test_a_variable_that_is_none_is_named(
     assert server.posts == []
 
 
-@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+@pytest.mark.parametrize("status", [301, 307])
 def test_no_redirect_is_followed(server: Hook, status: int) -> None:
     with hook() as other:
         for location in (server.url("/T0KEN"), other.url("/T0KEN"), "file:///etc/T0KEN"):
@@ -158,36 +157,27 @@ def test_no_redirect_is_followed(server: Hook, status: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("status", "words"),
-    [
-        (204, ""),
-        (299, ""),
-        (404, "HTTP 404 Not Found"),
-        (500, "HTTP 500 Internal Server Error"),
-        (599, "HTTP 599"),
-    ],
-)
-def test_only_an_answer_of_200_to_299_is_a_yes(server: Hook, status: int, words: str) -> None:
-    server.answers["/hook?T0KEN"] = (status, "")
-    receiver = WebHook(server.url("/hook?T0KEN"))
-    if not words:
-        receiver.take(DELIVERY)
-        return
-    fault = refusal(receiver)
-    assert (fault.why, fault.hung) == (words, False)
-
-
-@pytest.mark.parametrize(
     ("answer", "words"),
     [
-        *((one, "answer is no HTTP") for one in (b"", b"T0KEN\r\n\r\n", b"HTTP/1.1 \r\n\r\n")),
-        (b"\x1b[2J\n\n", "answer is no HTTP"),
+        (b"HTTP/1.1 204 \r\n\r\n", ""),
+        (b"HTTP/1.1 299 \r\n\r\n", ""),
         (b"HTTP/1.1 404 nothing at /T0KEN?key=T0KEN\r\n\r\n", "HTTP 404 Not Found"),
+        (b"HTTP/1.1 599 \r\n\r\n", "HTTP 599"),
+        (b"", "answer is no HTTP"),
+        (b"T0KEN\r\n\r\n", "answer is no HTTP"),
+        (b"\x1b[2J\n\n", "answer is no HTTP"),
     ],
 )
-def test_words_of_the_server_are_not_told(answer: bytes, words: str) -> None:
+def test_only_an_answer_of_200_to_299_is_a_yes_and_its_words_are_not_told(
+    answer: bytes, words: str
+) -> None:
     with raw(lambda connection, _: connection.sendall(answer)) as url:
-        assert words in refusal(WebHook(url)).why
+        if not words:
+            WebHook(url).take(DELIVERY)
+            return
+        fault = refusal(WebHook(url))
+    assert words in fault.why
+    assert not fault.hung
 
 
 def test_nobody_there(server: Hook) -> None:

@@ -15,8 +15,9 @@ from pipeline.config import Fleet, load_fleet
 from pipeline.demo import shipped_configs
 from pipeline.report.build import build_report
 from pipeline.schema import TABLES
-from pipeline.store.tables import read_table, write_table
+from pipeline.store.tables import read_table
 from tests.conftest import made_once
+from tests.pipeline.written import write_table
 
 if TYPE_CHECKING:
     from selenium.webdriver import Chrome

@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline.report.build import build_report
 from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.schema import NIGHTS as NIGHT_TABLE
-from pipeline.store.tables import night_file, read_table
+from pipeline.store.tables import read_table
 from pipeline.trends.nights.decisions import Decision, record_decision
 from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.report.conftest import demo_fleet
@@ -23,7 +23,7 @@ from tests.pipeline.report.states import (
     state_of,
 )
 from tests.pipeline.report.states import WORN as WORN_FIGURES
-from tests.pipeline.written import write_nights
+from tests.pipeline.written import night_file, write_nights
 
 NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
 WORN, HEALTHY = "CB560-01", "CB400-01"

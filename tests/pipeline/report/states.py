@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from pipeline.schema import ALARMS, LATEST, NIGHTS, Table, frame
-from pipeline.store.tables import whole_file, write_table
+from pipeline.store.tables import whole_file
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.simulated import motor_toml, write_configs
-from tests.pipeline.written import write_nights
+from tests.pipeline.written import write_nights, write_table
 
 Row = dict[str, Any]
 LAST = 5

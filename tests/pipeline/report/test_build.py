@@ -16,9 +16,9 @@ from pipeline.errors import StoreError
 from pipeline.report.build import ReportResult, build_report
 from pipeline.report.words import STATES
 from pipeline.schema import PREDICTIONS
-from pipeline.store.tables import night_file
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without
+from tests.pipeline.written import night_file
 
 MOTORS = [f"CB{n}-0{i}" for n in (1120, 400, 560) for i in (1, 2)]
 NIGHTS = [dt.date(2026, 1, 2), dt.date(2026, 1, 3), dt.date(2026, 1, 4)]

@@ -17,7 +17,8 @@ from pipeline.report.charts import night_chart, residual_chart
 from pipeline.report.pages import page_of
 from pipeline.report.plotly_json import figure, numbers, script_json
 from pipeline.schema import PREDICTIONS, RESIDUAL_TESTS
-from pipeline.store.tables import night_file, read_table
+from pipeline.store.tables import read_table
+from tests.pipeline.written import night_file
 
 
 def test_a_line_is_broken_where_samples_are_missing(fitted_output: Path) -> None:

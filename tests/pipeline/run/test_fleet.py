@@ -1,26 +1,28 @@
-"""The nightly run: what is new is done, once, with the same bytes."""
+"""A run over the demo fleet: the same bytes however it is spread; outputs it cannot write to."""
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import stat
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import polars as pl
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.errors import StoreError
+from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
+from pipeline.schema import TABLES, Table
 from tests.conftest import OwnFleet
-from tests.pipeline.run.demo_runs import (
-    CSV,
-    MOTORS,
-    NIGHTS,
-    PARQUET,
-    check_same_tables,
-    log_file,
-    output_of,
-    rows,
-    run,
-    status_of,
-    table_files,
-)
+from tests.pipeline.dask_processes import Processes
+from tests.pipeline.run.demo_runs import MOTORS, PARQUET, output_of, run, status_of, table_files
 
-# The same bytes
+# Nothing is raised, entered or said in three nights.
+WITHOUT_ROWS = {"alarms", "decisions", "intraday"}
 
 
 def test_two_workers_write_the_same_bytes_as_one_after_the_other(
@@ -46,30 +48,81 @@ def test_one_worker_writes_the_same_bytes_wherever_it_lies(
     assert len(first) >= 6 * 3
 
 
-# New, late, corrected and broken logs
-
-
-def test_a_deleted_log_leaves_what_is_published(own_fleet: OwnFleet, fitted_output: Path) -> None:
-    fleet = own_fleet(PARQUET, fitted=True)
-    log_file(fleet, PARQUET, NIGHTS[1]).unlink()
-    assert run(fleet).n_nights == 0
-    check_same_tables(output_of(fleet), fitted_output, *MOTORS)
-
-
-def test_a_log_named_and_absent_is_a_failure_and_a_glob_is_not(
-    own_fleet: OwnFleet, fitted_output: Path
+@pytest.mark.full
+def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
+    two_workers: Processes, demo_folder: Path, fitted_output: Path, tmp_path: Path
 ) -> None:
-    fleet = own_fleet(CSV, PARQUET)
-    for motor, files in ((CSV, f'"{CSV}/*.csv", "{CSV}/gone.csv"'), (PARQUET, '"none/*.parquet"')):
-        file = fleet.parent / "motors" / f"{motor}.toml"
-        text = file.read_text(encoding="utf-8")
-        start, end = text.index("files = ["), text.index("]", text.index("files = ["))
-        file.write_text(text[:start] + f"files = [{files}" + text[end:], encoding="utf-8")
-    result = run(fleet)
-    assert status_of(result) == {CSV: "failed", PARQUET: "no_new_data"}
-    assert result.outcomes[0].error_code == "log_missing"
-    assert "gone.csv" in (result.outcomes[0].message or "")
-    assert dict(result.outcomes[0].counts) == {"ok": 3}
-    assert rows(output_of(fleet), "fits", CSV).height == 3
-    # It stays a failure for as long as it is absent.
-    assert status_of(run(fleet))[CSV] == "failed"
+    from distributed import Client
+
+    killed: list[int] = []
+
+    def kill_one(_: object) -> None:
+        if not killed:
+            with Client(two_workers.address, set_as_default=False) as client:
+                killed.append(min(client.run(os.getpid).values()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
+    request = RunRequest(replace(fleet, output=tmp_path, execution=two_workers.execution()))
+    result = run_fleet(request, kill_one)
+    assert killed
+    assert status_of(result) == dict.fromkeys(MOTORS, "ok")
+    assert table_files(tmp_path) == table_files(fitted_output)
+    assert not (tmp_path / "staging").exists()
+    # And nothing is new for the next run, wherever that is done.
+    assert run_fleet(request).n_nights == 0
+    assert table_files(tmp_path) == table_files(fitted_output)
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table: Table) -> None:
+    if table.name in WITHOUT_ROWS:
+        return
+    files = fitted_output / "tables" / table.name / "**" / "*.parquet"
+    rows = pl.read_parquet(files, hive_partitioning=False)
+    assert rows.height
+    assert rows.select(table.key).is_unique().all()
+    assert rows.schema == table.schema
+
+
+@pytest.mark.parametrize(("minimum_mib", "is_refused"), [(100, True), (99, False), (0, False)])
+def test_a_run_with_too_little_room_touches_nothing(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch, minimum_mib: int, is_refused: bool
+) -> None:
+    fleet = own_fleet(PARQUET)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
+    if not is_refused:
+        assert run(fleet, minimum_free_mib=minimum_mib).n_nights == 3
+        return
+    with pytest.raises(StoreError, match=r"minimum_free_mib is 100") as caught:
+        run(fleet, minimum_free_mib=minimum_mib)
+    assert caught.value.code == "disk_space"
+    assert not output_of(fleet).exists()
+
+
+@pytest.mark.parametrize("place", ["out", "out/tables", "out/staging", "out/lock", "out/state.db"])
+def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> None:
+    fleet = own_fleet(PARQUET)
+    blocked = fleet.parent.parent / place
+    blocked.parent.mkdir(exist_ok=True)
+    if place in ("out/lock", "out/state.db"):
+        blocked.mkdir()
+    else:
+        blocked.write_text("in the way")
+    with pytest.raises(StoreError) as caught:
+        run(fleet)
+    assert caught.value.code == "store_write"
+    assert blocked.exists()
+    # Once it is out of the way all is done.
+    blocked.rmdir() if blocked.is_dir() else blocked.unlink()
+    assert run(fleet).n_nights == 3
+
+
+def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None:
+    """What lies there is published."""
+    before = os.umask(0)
+    try:
+        with staging_folder(tmp_path / "out") as folder:
+            assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    finally:
+        os.umask(before)

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from pipeline.config import ConfigError, load_fleet
-from pipeline.export.csv import CsvRequest, export_csv
+from pipeline.export import CsvRequest, export_csv
 from pipeline.logs.finding import find_logs
 from pipeline.report.build import build_report
 from pipeline.run.fleet import RunRequest, run_fleet
@@ -21,20 +21,11 @@ FILE_NAMES = [
     *("$(touch harmed).parquet", "`touch harmed`.parquet", "; touch harmed;.parquet"),
     *("|touch harmed.parquet", "-rf.parquet", "--help.parquet", "~.parquet", "%s%n.parquet"),
     *("=cmd|' C'!A0.parquet", "@SUM(1+1).parquet", "+1.parquet", "\t=1.parquet", '"=1.parquet'),
-    *(
-        "a\n=1.parquet",
-        "a\r\nb.parquet",
-        "\x1b[2J\x1b]0;x\x07.parquet",
-    ),
+    *("a\n=1.parquet", "a\r\nb.parquet", "\x1b[2J\x1b]0;x\x07.parquet"),
     *("\u202egnp.parquet", "\u2066a\u2069.parquet", "a\u2028b.parquet", "\ufeffa.parquet"),
     *("<script>window.harmed=1<", "'\"><img src=x onerror=harmed>.parquet", "{{7*7}}.parquet"),
-    *(
-        "..\\..\\x.parquet",
-        "C:\\x.parquet",
-        "CON.parquet",
-        "[red]x[blue].parquet",
-        "[@click=harmed].parquet",
-    ),
+    *("..\\..\\x.parquet", "C:\\x.parquet", "CON.parquet"),
+    *("[red]x[blue].parquet", "[@click=harmed].parquet"),
     *("x" * 247 + ".parquet", "\udc80\udcff.parquet", "a'b\"c.parquet", "..parquet", " .parquet"),
 ]
 """What a file may be called here: all but a slash and a zero byte."""
@@ -107,16 +98,8 @@ def test_names_in_spreadsheets_are_no_formulas(made: Path, tmp_path: Path) -> No
     with (tmp_path / "log_files.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(set(FILE_NAMES))
-    for cell in (cell for row in rows for cell in row.values()):
-        assert not cell.startswith(("=", "+", "-", "@", "\t", "\r")) or _is_number(cell)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    for cell in (row[name] for row in rows for name in ("path", "message")):
+        assert not cell.startswith(("=", "+", "-", "@", "\t", "\r"))
 
 
 def test_names_in_pages_are_no_markup(made: Path, tmp_path: Path) -> None:

@@ -9,23 +9,26 @@ from __future__ import annotations
 import datetime as dt
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import polars as pl
 import pytest
 
 import pipeline.config.hashes
 import pipeline.run.motor_task
-from pipeline.config import load_fleet
-from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.config import Execution, load_fleet
+from pipeline.run.fleet import RunRequest, run_fleet, unchanged_motors
 from pipeline.run.night_plan import plan_fleet, plan_trends
-from pipeline.run.tasks import MotorOutcome, Work
+from pipeline.run.tasks import MotorTask, Work
 from pipeline.store.state import open_state
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 FIRST = dt.date(2026, 3, 2)
 States = Mapping[str, str]
+HERE, BESIDE = Execution(backend="sequential"), Execution(backend="loky", workers=2)
 NIGHTS = tuple(FIRST + number * DAY for number in range(4))
 # A setting of each kind, and what must be made anew for it: all nights, or none.
 SETTINGS = {
@@ -95,9 +98,6 @@ def written(before: States, after: States) -> set[str]:
     return {name.split()[1] for name in after if after[name] != before.get(name)}
 
 
-# New, late and corrected files
-
-
 def previous(workshop: Workshop) -> dict[dt.date, float | None]:
     """Fit of the model before by night."""
     return dict(workshop.rows("nights").select("night", "previous_model_fit_percent").iter_rows())
@@ -138,15 +138,12 @@ def test_content_counts_and_not_the_time_of_a_file(workshop: Workshop) -> None:
     for path in workshop.logs.iterdir():
         os.utime(path, (1, 1))
     assert planned(workshop) == {}
-    # Other content of the same size, and with the old time: seen by the number of the file.
+    # A copy of the same size and time: seen by the number of the file.
     path = workshop.logs / f"{NIGHTS[0]}.parquet"
     copy = path.with_suffix(".copy")
     shutil.copy2(path, copy)
     copy.replace(path)
     assert planned(workshop) == {}
-
-
-# Settings
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
@@ -174,72 +171,96 @@ def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, set
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        ("[execution]\n", "[execution]\nworkers = 1\n"),
-        ("[execution]\n", "[execution]\nminimum_free_mib = 0\n"),
-        ("[execution]\n", '[alarms]\nwebhook_url = "https://example.org/x"\n[execution]\n'),
-        ("[execution]\n", '[alarms]\nwebhook_headers = { X = "1" }\n[execution]\n'),
-        ("[execution]\n", '[alarms]\nwebhook_secret = "${X}"\n[execution]\n'),
-        ('name = "Tests"', 'name = "Others"\nformerly = "Tests"'),
-    ],
-)
-def test_what_shapes_no_figure_redoes_nothing(workshop: Workshop, change: tuple[str, str]) -> None:
-    blank(workshop)
-    assert change[0] in QUICK
-    workshop.configure(fleet=QUICK.replace(*change))
-    assert (planned(workshop), trends_planned(workshop)) == ({}, {})
-    tables = ("fits", "trends", "blocks")
-    before = files(workshop, *tables)
-    assert workshop.run().nights == ()
-    assert files(workshop, *tables) == before
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("FIGURES_VERSION", "figures"), ("READING_VERSION", "reading")],
+    ("name", "stage", "work"),
+    [("FIGURES_VERSION", "figures", Work.REFIT), ("READING_VERSION", "reading", Work.READ)],
 )
 def test_a_new_version_of_the_program_is_named(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, name: str, said: str
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, name: str, stage: str, work: Work
 ) -> None:
     old = getattr(pipeline.config.hashes, name)
     monkeypatch.setattr(pipeline.config.hashes, name, old + 1)
-    plan = planned(workshop)
+    plan, why = planned(workshop), f"another version of the program ({stage} {old} to {old + 1})"
     assert list(plan) == list(NIGHTS)
-    reasons = {reason for _, reason in plan.values()}
-    if said == "figures":
-        assert reasons == {f"another version of the program (figures {old} to {old + 1})"}
-        assert {work for work, _ in plan.values()} == {Work.REFIT}
-    else:
-        assert {work for work, _ in plan.values()} == {Work.READ}
-    words = f"another version of the program ({said} {old} to {old + 1})"
-    assert trends_planned(workshop) == {"M1": words}
+    assert {work for work, _ in plan.values()} == {work}
+    assert trends_planned(workshop) == {"M1": why}
+    if work is Work.REFIT:
+        assert {reason for _, reason in plan.values()} == {why}
 
 
-# What is asked for
+def unchanged(execution: Execution, *tasks: MotorTask) -> int:
+    with open_state(tasks[0].output) as state:
+        return len(list(unchanged_motors(tasks, execution, state)))
 
 
-def outcome_of(request: RunRequest, motor_id: str = "M1") -> MotorOutcome:
-    found = {outcome.motor_id: outcome for outcome in run_fleet(request).outcomes}
-    return found[motor_id]
+def test_a_run_with_nothing_new_starts_no_worker(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*_: object, **__: object) -> None:
+        raise AssertionError("a worker is started")
+
+    workshop.run()  # the copies of the logs are other files
+    monkeypatch.setattr("joblib.Parallel", forbidden)
+    monkeypatch.setattr("pipeline.run.fleet.run_motor", forbidden)
+    fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
+    (outcome,) = run_fleet(RunRequest(fleet)).outcomes
+    assert (outcome.status, outcome.nights) == ("no_new_data", ())
+    assert outcome.files == {"unchanged": len(NIGHTS)}
 
 
-def test_redo_makes_asked_for_nights_anew_and_the_same(workshop: Workshop) -> None:
-    before = workshop.rows("fits")
-    request = RunRequest(load_fleet(workshop.fleet), redo=(NIGHTS[2], NIGHTS[-1]))
-    assert outcome_of(request).nights == NIGHTS[2:]
-    assert workshop.rows("fits").equals(before)
+def of_another_time(workshop: Workshop) -> None:
+    os.utime(workshop.logs / f"{FIRST}.parquet", ns=(1, 1))
 
 
-def test_retry_does_what_failed_and_what_is_new_and_no_more(workshop: Workshop) -> None:
-    bad, new = NIGHTS[-1] + DAY, NIGHTS[-1] + 2 * DAY
-    (workshop.logs / f"{bad}.parquet").write_bytes(b"no Parquet")
-    assert workshop.run().status == "failed"
-    blank(workshop, bad)
-    workshop.log(new, seed=9)
-    fleet = load_fleet(workshop.fleet)
-    plan = dict(plan_fleet(RunRequest(fleet, retry=True)))["M1"]
-    assert list(plan) == [bad, new]
-    outcome = outcome_of(RunRequest(fleet, retry=True))
-    assert outcome.nights == (bad, new)
-    assert outcome.counts == {"failed": 1, "ok": 1}
+def another_of_the_same_name(workshop: Workshop) -> None:
+    path = workshop.logs / f"{FIRST}.parquet"
+    shutil.copy2(path, workshop.logs / "copy")
+    (workshop.logs / "copy").replace(path)
+
+
+def one_more(workshop: Workshop) -> None:
+    (workshop.logs / "new.parquet").touch()
+
+
+def one_that_is_named_and_absent(workshop: Workshop) -> None:
+    workshop.configure(files='"M1/*.parquet", "M1/absent.parquet"')
+
+
+def no_log_at_all(workshop: Workshop) -> None:
+    shutil.rmtree(workshop.logs)
+
+
+def another_setting(workshop: Workshop) -> None:
+    text = workshop.fleet.read_text("utf-8")
+    workshop.fleet.write_text(text + "[reference]\npressure_bar = 210.0\n", "utf-8")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        of_another_time,
+        another_of_the_same_name,
+        one_more,
+        one_that_is_named_and_absent,
+        no_log_at_all,
+        another_setting,
+    ],
+)
+def test_a_motor_with_news_is_left_to_its_task(
+    workshop: Workshop, change: Callable[[Workshop], None]
+) -> None:
+    workshop.run()
+    assert unchanged(HERE, workshop.task()) == 1
+    change(workshop)
+    assert unchanged(HERE, workshop.task()) == 0
+
+
+def test_logs_that_do_not_answer_are_left_to_the_tasks(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workshop.run()
+    task, answered = workshop.task(), Event()
+    assert unchanged(BESIDE, task, task) == 2
+    monkeypatch.setattr("pipeline.run.fleet._stat_logs", lambda *_: answered.wait())
+    hasty = BESIDE.model_copy(update={"answer_s": 0.01})
+    assert unchanged(hasty, task, task) == 0
+    answered.set()

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from polars.testing import assert_frame_equal
 
-import pipeline.logs.locations
 import pipeline.logs.motor_logs
-import pipeline.run.motor_task
+import pipeline.run.night_plan
+from pipeline.config import load_fleet
 from pipeline.ingest import read_log
-from tests.pipeline.simulated import NIGHT, SECOND_US, write_log
-from tests.pipeline.workshop import DAY, MINUTES, Workshop, check_same_figures, part
+from pipeline.run.fleet import RunRequest, run_fleet
+from tests.pipeline.simulated import NIGHT, SECOND_US, motor_toml, write_configs, write_log
+from tests.pipeline.workshop import (
+    DAY,
+    MINI,
+    MINUTES,
+    QUICK,
+    Workshop,
+    check_same_figures,
+    part,
+)
 
 
 @pytest.fixture
@@ -21,44 +32,32 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     return Workshop.at(tmp_path_factory.mktemp("other"))
 
 
-# A night in several files
-
-
 @pytest.mark.parametrize(
-    "borders",
+    "spans",
     [
-        [731],  # inside a block
-        [720],  # at its border
-        [1, 1439],
-        list(range(60, 1440, 60)),  # a file a minute
+        pytest.param([(0, 731), (731, 1440)], id="inside-a-block"),
+        pytest.param([(0, 720), (720, 1440)], id="at-a-border"),
+        pytest.param([(0, 1), (1, 1439), (1439, 1440)], id="single-rows"),
+        pytest.param([(60 * n, 60 * n + 60) for n in range(24)], id="24-files"),
+        pytest.param([(0, 800), (700, 1440)], id="shared-rows"),
     ],
-    ids=["inside-a-block", "at-a-border", "single-rows", "24-files"],
 )
 def test_a_night_in_several_files_is_the_same_night(
-    workshop: Workshop, other: Workshop, borders: list[int]
+    workshop: Workshop, other: Workshop, spans: list[tuple[int, int]]
 ) -> None:
     workshop.log(NIGHT)
     assert workshop.run().status == "ok"
     operation, values = other.night(NIGHT)
-    for number, (first, last) in enumerate(zip([0, *borders], [*borders, 1440], strict=True)):
-        rows = slice(first, last)
+    for number, span in enumerate(spans):
+        rows = slice(*span)
         # Names in another order than time.
         write_log(
             other.logs / f"{99 - number}.parquet", operation.time_us[rows], part(values, rows)
         )
     assert other.run().status == "ok"
-    check_same_figures(workshop, other, "log_files")
-    assert other.rows("log_files").height == len(borders) + 1
-
-
-def test_rows_that_two_files_share_count_once(workshop: Workshop, other: Workshop) -> None:
-    workshop.log(NIGHT)
-    workshop.run()
-    operation, values = other.night(NIGHT)
-    for name, rows in (("a", slice(0, 800)), ("b", slice(700, None))):
-        write_log(other.logs / f"{name}.parquet", operation.time_us[rows], part(values, rows))
-    assert other.run().status == "ok"
-    check_same_figures(workshop, other, "log_files", "quality")
+    shares = sum(last - first for first, last in spans) > 1440  # which `quality` counts
+    check_same_figures(workshop, other, "log_files", *["quality"] * shares)
+    assert other.rows("log_files").height == len(spans)
 
 
 def test_a_file_over_the_end_of_a_night_is_two_nights_and_one_file(workshop: Workshop) -> None:
@@ -91,9 +90,6 @@ def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPa
     assert sorted(read) == [f"{day}.parquet" for day in range(4)]
     workshop.run()
     assert len(read) == 4
-
-
-# What a change touches
 
 
 def test_a_night_is_judged_with_the_last_model_however_far(workshop: Workshop) -> None:
@@ -156,4 +152,84 @@ def test_nights_in_any_order_come_to_the_same(
     assert other.run().nights == ()
 
 
-# The record of processed logs
+ROLLER = """
+[[path]]
+name = "cam_roller"
+law = "speed_curve"
+source = "invented"
+count = 8
+coefficients = [1.6e-3, 4.0e-3]
+speed_range_rpm = [0.0, 125.0]
+reference_pressure_bar = 200.0
+reference_viscosity_mpa_s = 35.0
+"""
+
+
+@pytest.fixture
+def _two_nights_decide(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline.run.night_plan, "ROLLER_NIGHTS", 2)
+
+
+def with_roller(folder: Path) -> Workshop:
+    """A motor whose nights may tell the scale of its rollers."""
+    made = Workshop(folder)
+    write_configs(folder, {"M1": motor_toml("M1", "MINI")}, {"MINI": MINI + ROLLER}, QUICK)
+    made.logs.mkdir(parents=True, exist_ok=True)
+    return made
+
+
+def forms(made: Workshop) -> list[bool]:
+    return ["scale_cam_roller" in names for names in made.rows("fits")["coefficient_names"]]
+
+
+@pytest.mark.usefixtures("_two_nights_decide")
+def test_all_nights_change_with_the_decision(tmp_path: Path) -> None:
+    one, two = with_roller(tmp_path / "one"), with_roller(tmp_path / "two")
+    for number in range(3):
+        two.log(NIGHT + number * DAY, seed=number)
+    two.run()
+    one.log(NIGHT, seed=0)
+    one.run()
+    assert forms(one) == [False]
+    for number in (1, 2):
+        one.log(NIGHT + number * DAY, seed=number)
+    one.run()
+    assert forms(one) == [True] * 3
+    check_same_figures(one, two, "log_files")
+    assert_frame_equal(one.rows("trends"), two.rows("trends"), check_exact=True)
+
+
+@pytest.mark.usefixtures("_two_nights_decide")
+def test_a_back_fill_in_parts_decides_with_the_first_that_can(tmp_path: Path) -> None:
+    parts, whole = with_roller(tmp_path / "parts"), with_roller(tmp_path / "whole")
+    for number in range(4):
+        for one in (parts, whole):
+            one.log(NIGHT + number * DAY, seed=number)
+    request = RunRequest(load_fleet(parts.fleet))
+    run_fleet(replace(request, until=NIGHT + DAY))
+    assert forms(parts) == [True] * 2
+    run_fleet(replace(request, since=NIGHT + 2 * DAY))
+    # Nothing is left to be fitted again.
+    assert parts.run().nights == ()
+    whole.run()
+    check_same_figures(parts, whole, "log_files")
+
+
+@pytest.mark.usefixtures("_two_nights_decide")
+def test_what_is_decided_stands_until_a_new_baseline(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = with_roller(tmp_path)
+    for number in (1, 2, 3):
+        made.log(NIGHT + number * DAY, seed=number)
+    made.run()
+    # No night would be reason enough any more: neither a late log nor a night made anew reopens it.
+    monkeypatch.setattr(pipeline.run.night_plan, "MOST", 1.1)
+    made.log(NIGHT, seed=0)
+    assert made.run().nights == (NIGHT,)
+    assert forms(made) == [True] * 4
+    event = f'[[events]]\ndate = {NIGHT + 2 * DAY}\nkind = "overhaul"\n'
+    motor = motor_toml("M1", "MINI", more=event)
+    write_configs(made.folder, {"M1": motor}, {"MINI": MINI + ROLLER}, QUICK)
+    assert made.run().n_refitted == 4
+    assert forms(made) == [False] * 4

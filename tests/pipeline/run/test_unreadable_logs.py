@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 
-import pipeline.logs.locations
-import pipeline.logs.motor_logs
+import pipeline.logs.files
+import pipeline.run.fleet
 import pipeline.run.motor_task
 from pipeline.config import load_fleet
+from pipeline.logs.finding import find_logs
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.store.heartbeat import last_good_run
+from pipeline.run.motor_task import run_motor
+from pipeline.run.tasks import MotorTask
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.workshop import DAY, Workshop
-
-# Holes
+from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 
 def test_nights_without_a_log_between_two_with_one(workshop: Workshop) -> None:
@@ -44,9 +44,6 @@ def test_a_lost_clock_does_not_make_decades_of_holes(workshop: Workshop) -> None
     assert workshop.run().nights == (NIGHT + DAY,)
 
 
-# Why there is nothing
-
-
 def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
     workshop.configure(files='"M1/*.parquet", "M1/old/*.csv"')
     outcome = workshop.run()
@@ -55,9 +52,6 @@ def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
     assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, told)
     workshop.log(NIGHT)
     assert workshop.run().message is None
-
-
-# Files that cannot be read
 
 
 @pytest.mark.parametrize("lag", [-1, 0, 1])
@@ -73,17 +67,6 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert (outcome.message or "").count(str(labels[3])) == 1 + (lag == 0)
     assert "(night known by its name)" in (outcome.message or "")
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
-
-
-def test_a_broken_file_keeps_the_night_as_which_it_was_read_before(workshop: Workshop) -> None:
-    path = workshop.log(NIGHT, "log.parquet")
-    workshop.run()
-    path.write_bytes(path.read_bytes()[:2000])
-    outcome = workshop.run()
-    assert (outcome.status, outcome.nights, list(outcome.stays)) == ("failed", (), [NIGHT])
-    assert "by what it held before" in (outcome.message or "")
-    assert workshop.statuses() == {NIGHT: "ok"}
-    assert workshop.run().n_standing == 1
 
 
 def make_pipe(path: Path) -> None:
@@ -125,28 +108,6 @@ def test_what_is_no_file_is_told_and_waited_for_by_nobody(
     assert workshop.statuses() == {NIGHT: "ok", NIGHT + DAY: "ok"}
 
 
-def test_a_file_that_could_not_be_opened_is_tried_again(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Permissions leave size and time as they are, so these alone do not say "read before"."""
-    workshop.log(NIGHT)
-
-    def refused(path: Path) -> str:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("pipeline.logs.files.content_hash", refused)
-    for _ in range(2):
-        outcome = workshop.run()
-        assert (outcome.status, outcome.error_code) == ("failed", "log_not_readable")
-        assert f"{NIGHT}.parquet: Permission denied" in (outcome.message or "")
-    monkeypatch.undo()
-    assert workshop.run().status == "ok"
-    assert workshop.statuses() == {NIGHT: "ok"}
-
-
-# Faults of our own
-
-
 def test_a_fault_of_ours_in_one_night_costs_that_night(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,9 +126,6 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
 
 
-# What failed stands until it is mended
-
-
 def broken_night(workshop: Workshop) -> Path:
     """A night between two others whose log is damaged, and done as well as it goes."""
     for day in range(3):
@@ -181,16 +139,6 @@ def broken_night(workshop: Workshop) -> Path:
     os.utime(path.with_suffix(".sound"), ns=(state.st_atime_ns, state.st_mtime_ns))
     assert workshop.run().n_standing == 1
     return path
-
-
-def test_a_failure_is_told_by_every_run_while_it_stands(workshop: Workshop) -> None:
-    broken_night(workshop)
-    for _ in range(2):
-        result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
-        assert (result.n_nights, result.failed, result.n_standing) == (0, (), 1)
-        assert not result.is_good
-    assert workshop.rows("runs")["status"].to_list() == ["motors_failed"] * 3
-    assert last_good_run(workshop.output) is None
 
 
 def test_a_failed_night_whose_log_was_removed_fails_no_more(workshop: Workshop) -> None:
@@ -211,3 +159,53 @@ def test_a_folder_that_is_not_mounted_heals_no_failure(workshop: Workshop) -> No
     workshop.logs.rename(workshop.logs.with_name("away"))
     assert workshop.run().n_standing == 1
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
+
+
+def opened_all_the_same(task: MotorTask) -> Any:
+    """A motor's task to which a pipe looks like a file, as one on a mount that hangs does."""
+    pipeline.logs.files.stat.S_ISREG = lambda _: True  # in the worker alone
+    return run_motor(task)
+
+
+def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = NIGHT + 2 * DAY
+    isolated = QUICK.replace("sequential", "loky") + "answer_s = 3.0\n"
+    workshop.configure(fleet=isolated, motors=("M1", "M2"))
+    for motor in ("M1", "M2"):
+        for night in (NIGHT, NIGHT + DAY):
+            workshop.log(night, motor=motor)
+    os.mkfifo(workshop.logs / f"{blocked}.parquet")
+    monkeypatch.setattr(pipeline.run.fleet, "run_motor", opened_all_the_same)
+    result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
+    m1, m2 = result.outcomes
+    assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
+    nights = workshop.rows("nights").filter(motor_id="M1")
+    assert nights["status"].to_list() == ["ok", "ok", "failed"]
+    (row,) = workshop.rows("log_files").filter(status="failed").to_dicts()
+    assert (row["night"], row["error_code"]) == (blocked, "log_no_answer")
+    assert row["message"] == (
+        f"{blocked}.parquet: did not answer within 3 s (night known by its name)"
+    )
+
+
+def test_what_does_not_answer_is_not_looked_at(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workshop.log(NIGHT)
+    (workshop.logs / "link.parquet").symlink_to(workshop.logs / "folder")
+    workshop.configure(files='"M1/*.parquet", "M1/named", "M1/old/*.parquet"')
+    spec = workshop.spec
+    silent = {"M1/link.parquet", "M1/named", "M1/old/*.parquet"}
+
+    is_dir = Path.is_dir
+
+    def looked(path: Path) -> bool:
+        assert path.name not in ("link.parquet", "named", "old")
+        return is_dir(path)
+
+    monkeypatch.setattr(Path, "is_dir", looked)
+    found, absent = find_logs(spec, silent)
+    assert list(found) == [f"M1/{NIGHT}.parquet", "M1/link.parquet", "M1/named"]
+    assert absent == []

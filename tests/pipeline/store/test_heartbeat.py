@@ -13,16 +13,6 @@ from pipeline.cli.state import fleet_lines
 from pipeline.errors import StoreError
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import Beat, Heartbeat, heartbeat_file, read_heartbeat
-from tests.pipeline.workshop import DAY, Workshop
-
-NIGHT = dt.date(2026, 3, 2)
-
-
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
-    made = Workshop.at(tmp_path)
-    made.log(NIGHT)
-    return made
 
 
 def beat_of(output: Path) -> Beat:
@@ -71,23 +61,6 @@ def test_a_beat_that_cannot_be_written_ends_nothing(
         heartbeat.finished(interrupted=False, good=True)
     assert [record.message[:13] for record in caplog.records] == ["no heartbeat:"]
     assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
-
-
-def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
-    """And it tells the motors that are done."""
-    with Heartbeat(tmp_path, 4, None) as heartbeat:
-        heartbeat.motor_done()
-        heartbeat.motor_done()
-        heartbeat.say()
-        beat = beat_of(tmp_path)
-        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 2, 4)
-        late = beat.beaten_at + dt.timedelta(seconds=61)
-        assert not beat.is_missing(beat.beaten_at + dt.timedelta(seconds=59))
-        assert beat.is_missing(late)
-        heartbeat.finished(interrupted=False, good=True)
-    ended = beat_of(tmp_path)
-    assert ended.last_good_run is not None
-    assert not ended.is_missing(late + DAY)
 
 
 @pytest.mark.parametrize(

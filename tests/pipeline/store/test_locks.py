@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pipeline.store.locks import INTERRUPTS, interrupts_held
+from pipeline.store.atomic_files import INTERRUPTS, interrupts_held
 
 
 @pytest.fixture

@@ -12,18 +12,11 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, RUNS, Table, frame
+from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, Table, frame
 from pipeline.store.published import note, verify_tables
 from pipeline.store.publishing import stage
 from pipeline.store.state import open_state
-from pipeline.store.tables import (
-    files_of,
-    night_file,
-    nights_back,
-    read_rows,
-    read_table,
-    table_folder,
-)
+from pipeline.store.tables import files_of, nights_back, read_rows, read_table, table_folder
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.store.made_rows import (
     LATER,
@@ -34,7 +27,7 @@ from tests.pipeline.store.made_rows import (
     publish_night,
     row,
 )
-from tests.pipeline.written import publisher_of
+from tests.pipeline.written import night_file
 
 MOTORS = st.sampled_from(["A", "AB", "B", "C"])
 NIGHTS = tuple(dt.date(2026, 1, day) for day in (3, 4, 9, 31))
@@ -128,16 +121,6 @@ class TestRows:
                 done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
         assert contents(folder / "at once" / "tables") == contents(folder / "in turn" / "tables")
-
-    def test_runs_of_a_month_follow_each_other(self, tmp_path: Path) -> None:
-        """Also two in a microsecond; one that is added again replaces itself."""
-        start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
-        earlier = start - dt.timedelta(1)
-        with publisher_of(tmp_path) as publisher:
-            for run_id, started in (("b", start), ("a", start), ("b", start), ("c", earlier)):
-                publisher.add("2026-01", {RUNS: [{"run_id": run_id, "started_at": started}]})
-        found = read_table(table_folder(tmp_path, RUNS) / "month=2026-01" / "2026-01.parquet", RUNS)
-        assert found["run_id"].to_list() == ["c", "a", "b"]
 
     def test_a_key_without_the_night_is_never_there_twice(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -9,17 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import load_fleet
 from pipeline.errors import UsageError
-from pipeline.run.night_plan import plan_fleet
-from pipeline.run.tasks import RunRequest
 from pipeline.schema import NIGHT_TABLES, TREND_TABLES
-from pipeline.store.locks import locked
-from pipeline.store.published import verify_tables
-from pipeline.store.retention import LOSSES, old_files, prune, require_prunable
-from pipeline.store.state import STATE_FILE, open_state
-from tests.pipeline.calling import Call, contents
-from tests.pipeline.remembered import record_of
+from pipeline.store.published import LOSSES, old_files, prune, require_prunable, verify_tables
+from pipeline.store.state import open_state
+from tests.pipeline.calling import contents
 from tests.pipeline.workshop import DAY, Workshop
 
 # The nights lie on both sides of a month's end.
@@ -49,49 +43,38 @@ def pruned(workshop: Workshop, kept: Mapping[str, int] = KEPT) -> None:
         prune(state, old_files(workshop.output, kept, NIGHTS[-1]))
 
 
-def nights_of(workshop: Workshop, table: str) -> list[dt.date]:
-    return sorted(set(workshop.rows(table)["night"]))
+def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where pruning is broken off between its list and the files: pruning again does it."""
 
+    def crash(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
 
-def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Workshop) -> None:
-    before, trends = contents(workshop.output), workshop.rows("trends")
-    record = record_of(workshop.output, "M1")
+    before = contents(workshop.output / "tables")
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.store.published.remove", crash)
+        with pytest.raises(KeyboardInterrupt):
+            pruned(workshop)
+    assert list(verify_tables(workshop.output)) == []
     (_, old) = old_files(workshop.output, KEPT, NIGHTS[-1])
     assert (old.table, old.first, old.last) == ("predictions", NIGHTS[0], NIGHTS[3])
     pruned(workshop)
-    after = contents(workshop.output)
-    gone = {f"tables/predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
+    after = contents(workshop.output / "tables")
+    gone = {f"predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
     assert old.size_bytes == sum(len(before[name]) for name in gone)
     # A month is as old as its last night.
-    gone.add("tables/error_budget/month=2026-02/2026-02.parquet")
-    assert before.keys() - after.keys() == gone
-    changed = {name for name in after if after[name] != before[name]}
-    assert changed == {STATE_FILE}
-    assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
-    assert nights_of(workshop, "error_budget") == list(NIGHTS[3:])
+    gone.add("error_budget/month=2026-02/2026-02.parquet")
+    assert after == {name: content for name, content in before.items() if name not in gone}
     for table in HEAVY:
         assert not (workshop.output / "tables" / table / "month=2026-02").exists()
     assert list(verify_tables(workshop.output)) == []
-    # No night is made anew, and trends do not notice.
-    assert dict(plan_fleet(RunRequest(load_fleet(workshop.fleet)))) == {"M1": {}}
+    # No night is made anew; a late log makes its night whole again.
     assert workshop.run().nights == ()
-    assert workshop.rows("trends").equals(trends)
-    assert record_of(workshop.output, "M1") == record
-    # A late log makes its night whole again.
     workshop.log(NIGHTS[0], seed=3)
     assert workshop.run().nights == NIGHTS[:1]
-    assert nights_of(workshop, "predictions") == [NIGHTS[0], *NIGHTS[-2:]]
+    assert sorted(set(workshop.rows("predictions")["night"])) == [NIGHTS[0], *NIGHTS[-2:]]
     assert list(verify_tables(workshop.output)) == []
-
-
-def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
-    pruned(workshop, dict.fromkeys(HEAVY, 1))
-    for log in workshop.logs.iterdir():
-        log.unlink()
-    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n")
-    assert workshop.run().n_refitted == len(NIGHTS)
-    assert set(workshop.rows("fits")["reference_speed_rpm"]) == {31.0}
-    assert nights_of(workshop, "predictions") == [NIGHTS[-1]]
 
 
 def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Workshop) -> None:
@@ -103,22 +86,6 @@ def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Work
     assert speeds == {NIGHTS[0]: 30.0, **dict.fromkeys(NIGHTS[1:], 31.0)}
 
 
-def test_a_crash_between_list_and_file_is_mended_by_pruning_again(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def crash(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("pipeline.store.retention.remove", crash)
-        with pytest.raises(KeyboardInterrupt):
-            pruned(workshop)
-    assert list(verify_tables(workshop.output)) == []
-    pruned(workshop)
-    assert list(verify_tables(workshop.output)) == []
-    assert nights_of(workshop, "error_budget") == list(NIGHTS[3:])
-
-
 def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
     assert old_files(tmp_path, KEPT, None) == ()
     made_from = {table.name for table in (*NIGHT_TABLES, *TREND_TABLES)} - LOSSES.keys()
@@ -127,15 +94,3 @@ def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=f"{name} cannot be pruned"):
             require_prunable(["predictions", name])
     require_prunable(list(LOSSES))
-
-
-def test_the_command_says_what_goes_with_the_files_and_waits_for_the_lock(
-    workshop: Workshop, call: Call
-) -> None:
-    assert call("prune", workshop.fleet) == (0, "0.0 MiB can be removed\n", "")
-    asked = ("prune", workshop.fleet, "--keep", "2")
-    assert LOSSES["predictions"] in call(*asked)[1]
-    with locked(workshop.output):
-        code, _, err = call(*asked, "--yes")
-    assert (code, err.startswith("motor-leakage: locked: ")) == (3, True)
-    assert nights_of(workshop, "predictions") == list(NIGHTS)

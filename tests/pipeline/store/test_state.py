@@ -107,14 +107,3 @@ def test_what_a_killed_process_left_in_its_log_is_taken_over(tmp_path: Path) -> 
     assert (tmp_path / "killed" / f"{STATE_FILE}-wal").stat().st_size > 0
     make_ready(tmp_path / "killed")
     assert kept(tmp_path / "killed") == "in the log"
-
-
-def test_it_does_not_wait_for_ever_for_another_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keep(tmp_path, "before")
-    monkeypatch.setattr("pipeline.store.state.BUSY_S", 0.05)
-    locked = pytest.raises(StoreError, match="is locked")
-    with open_state(tmp_path) as other, open_state(tmp_path) as state, other.transaction(), locked:
-        state.set_meta("value", "after")
-    assert kept(tmp_path) == "before"

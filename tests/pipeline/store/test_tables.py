@@ -23,15 +23,7 @@ from pipeline.schema import (
     SCHEMA_VERSION,
 )
 from pipeline.store.atomic_files import put
-from pipeline.store.tables import (
-    files_of,
-    night_file,
-    nights_back,
-    read_rows,
-    read_table,
-    table_folder,
-    write_table,
-)
+from pipeline.store.tables import files_of, nights_back, read_rows, read_table, table_folder
 from tests.pipeline.store.made_rows import (
     LATER,
     NIGHT,
@@ -39,6 +31,7 @@ from tests.pipeline.store.made_rows import (
     row,
     rows,
 )
+from tests.pipeline.written import night_file, write_table
 
 
 @pytest.fixture
@@ -132,23 +125,6 @@ class TestWhole:
             assert file.name in error.message
             assert "No space left on device" in error.message
 
-    def test_what_is_being_written_is_no_table_yet(self, file: Path) -> None:
-        """A reader's glob must not see it, and a reader sees the old rows till the end."""
-        content, seen = file.read_bytes(), []
-        file.write_bytes(b"before")
-
-        def write(stream: BinaryIO) -> None:
-            stream.write(content)
-            stream.flush()
-            # A rename is whole only within a file system.
-            (temporary,) = set(file.parent.iterdir()) - {file}
-            assert temporary.read_bytes() == content
-            seen.append((list(file.parent.glob("*.parquet")), file.read_bytes()))
-
-        put(file, write)
-        assert seen == [([file], b"before")]
-        assert file.read_bytes() == content
-
 
 def footer_begin(data: bytes) -> int:
     (length,) = struct.unpack("<I", data[-8:-4])
@@ -196,19 +172,6 @@ class TestDamage:
         with pytest.raises(StoreError, match=r"2026-01\.parquet of quality") as caught:
             read_table(file, QUALITY)
         assert caught.value.code == "store_read"
-
-    @pytest.mark.parametrize("content", ["junk", "other types"])
-    def test_one_of_many_is_told_by_name(self, file: Path, content: str) -> None:
-        output = file.parents[3]
-        path = night_file(output, QUALITY, LATER)
-        path.parent.mkdir()
-        if content == "junk":
-            path.write_bytes(b"junk")
-        else:
-            pl.DataFrame({"motor_id": ["M001"], "night": ["today"]}).write_parquet(path)
-        with pytest.raises(StoreError, match=r"2026-02\.parquet of quality is") as raised:
-            read_rows(output, QUALITY, ["M001"])
-        assert raised.value.code == "store_read"
 
 
 class TestSchema:

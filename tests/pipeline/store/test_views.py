@@ -7,15 +7,15 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from pipeline.schema import FITS, TABLES
-from pipeline.store.views import NAME, write_views
+from pipeline.schema import TABLES
+from pipeline.store.publishing import VIEWS, write_views
 
 
 def opened(output: Path, monkeypatch: pytest.MonkeyPatch) -> duckdb.DuckDBPyConnection:
     """As `duckdb -init views.sql` in the output folder."""
     monkeypatch.chdir(output)
     connection = duckdb.connect()
-    connection.execute(Path(NAME).read_text("utf-8"))
+    connection.execute(Path(VIEWS).read_text("utf-8"))
     return connection
 
 
@@ -34,20 +34,3 @@ def test_types_of_an_empty_view_are_those_of_its_files(
     with opened(tmp_path, monkeypatch) as empty, opened(fitted_output, monkeypatch) as full:
         for table in TABLES:
             assert empty.table(table.name).types == full.table(table.name).types, table.name
-
-
-def test_every_column_has_the_words_of_the_dictionary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_views(tmp_path)
-    with opened(tmp_path, monkeypatch) as connection:
-        told = connection.execute(
-            "SELECT table_name, column_name FROM duckdb_columns() WHERE comment IS NOT NULL"
-        ).fetchall()
-        (words,) = connection.execute(
-            "SELECT comment FROM duckdb_columns() "
-            "WHERE table_name = 'fits' AND column_name = 'fitted_leakage_lower'"
-        ).fetchall()
-    assert set(told) == {(table.name, name) for table in TABLES for name in table.schema}
-    (column,) = (one for one in FITS.columns if one.name == "fitted_leakage_lower")
-    assert words == (f"{column.description} [{column.unit}]",)

@@ -12,7 +12,6 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
-import pipeline.run.motors
 import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
@@ -39,7 +38,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
     timeout_s = 15.0 if what.startswith("hang") else 60.0
     limits = Execution(workers=2, timeout_s=timeout_s, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.run.motors, "run_motor", run_or_misbehave)
+        patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
-from pipeline.export.csv import CsvRequest, as_text, export_csv, tables_named
+from pipeline.export import CsvRequest, as_text, export_csv, tables_named
 from pipeline.schema import (
     FITS,
     LOG_FILES,
@@ -26,8 +26,9 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store.tables import night_file, read_table, table_folder, write_table
-from tests.pipeline.calling import Call, contents, refused
+from pipeline.store.tables import read_table, table_folder
+from tests.pipeline.calling import contents, refused
+from tests.pipeline.written import night_file
 
 NIGHT = dt.date(2026, 1, 3)
 HOSTILE = ["=cmd|'/c calc'!A1", '=HYPERLINK("http://x","y")', '"=1+1"', "=1,=2"]
@@ -112,23 +113,6 @@ def test_no_text_whatever_is_a_formula(text: str) -> None:
     assert not hides_a_formula(cell)
 
 
-def test_hostile_names_of_logs_reach_no_spreadsheet(tmp_path: Path) -> None:
-    rows = [
-        {"motor_id": "A", "path": f"{place:02}", "night": NIGHT, "status": "failed", "message": one}
-        for place, one in enumerate(HOSTILE)
-    ]
-    rows.append({"motor_id": "A", "path": "=1+1.csv", "night": NIGHT})
-    write_table(night_file(tmp_path, LOG_FILES, NIGHT), frame(LOG_FILES, rows))
-    export(tmp_path, tmp_path / "csv", LOG_FILES)
-    text = (tmp_path / "csv" / "log_files.csv").read_bytes().decode()
-    assert not any(is_formula(cell) for cell in cells(text, ","))
-    assert "'=1+1.csv" in cells(text, ",")
-    back = pl.read_csv(tmp_path / "csv" / "log_files.csv", infer_schema=False)
-    assert back.height == len(rows)
-    # One apostrophe stands before; without it the text is the log's.
-    assert back["message"].str.strip_prefix("'")[0] == HOSTILE[0]
-
-
 def test_runs_are_chosen_by_the_day_they_began(fitted_output: Path, tmp_path: Path) -> None:
     runs, parameters, fits = tables_named(["runs", "parameters", "fits", "fits"])
     assert (parameters, fits, tables_named([])) == (PARAMETERS, FITS, TABLES)
@@ -155,37 +139,3 @@ def test_what_cannot_be_exported_leaves_the_file_before(
     for own in (output / "tables" / "fits", tmp_path / "link"):
         with refused("csv_folder"):
             export(output, own, FITS)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        ([], 2, "Missing option '--csv'"),
-        (["--csv", "csv", "--decimal", ","], 2, "csv_dialect: --decimal , needs another"),
-        (["--csv", "csv", "--separator", "."], 2, "'--separator': Value error, '.' is not one of"),
-        (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
-        (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: no motor CB9"),
-        (["--csv", "csv", "--since", "x"], 2, "'--since': got 'x'"),
-        (["--csv", "csv", "--since", "2026-01-03", "--until", "2026-01-02"], 2, "is after"),
-        (["--csv", "csv", "--output", "none"], 2, "no_tables: there are no tables in"),
-        (["--csv", "file"], 4, "store_write: nights.csv cannot be written"),
-    ],
-)
-def test_command_with_bad_input(
-    call: Call,
-    demo_folder: Path,
-    fitted_output: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("stays")
-    config = demo_folder / "configs" / "fleet.toml"
-    output = [] if "--output" in arguments else ["--output", str(fitted_output)]
-    found, out, err = call("export", config, *arguments, *output)
-    assert (found, out) == (code, "")
-    assert message in err
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
