@@ -73,21 +73,14 @@ def read_heartbeat(output: Path) -> Beat | None:
 
 
 class Heartbeat:
-    """Context manager that writes a beat at every change, and every `interval_s` seconds [s]."""
+    """Context manager that writes a beat at every change, and every `INTERVAL_S` seconds."""
 
-    def __init__(
-        self,
-        output: Path,
-        n_motors: int,
-        last_good_run: dt.datetime | None,
-        interval_s: float = INTERVAL_S,
-    ) -> None:
+    def __init__(self, output: Path, n_motors: int, last_good_run: dt.datetime | None) -> None:
         now, host = dt.datetime.now(dt.UTC), socket.gethostname()
         self._beat = Beat(
             RUNNING, "motors", now, now, os.getpid(), host, n_motors, last_good_run=last_good_run
         )
         self._file = heartbeat_file(output)
-        self._interval_s = interval_s
         self._changing = threading.Lock()
         self._over = threading.Event()
         self._told = False
@@ -130,7 +123,7 @@ class Heartbeat:
                 self._told = True
 
     def _keep_beating(self) -> None:
-        while not self._over.wait(self._interval_s):
+        while not self._over.wait(INTERVAL_S):
             self.say()
 
 

@@ -157,6 +157,19 @@ def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
         path.write_bytes(whole)
 
 
+def test_a_file_that_may_not_be_read_is_named_and_left_alone(
+    tiny_fleet: TinyFleet, output: Path
+) -> None:
+    """A folder in its place cannot be read by anybody, whatever rights they have."""
+    path = night_file(output, PREDICTIONS, NIGHT)
+    path.unlink()
+    path.mkdir()
+    result = tiny_fleet.run(output)
+    assert result.damage == result.damage_left
+    assert codes_of(result.damage) == [(name_of(output, path), "table_unreadable")]
+    assert path.is_dir()
+
+
 def test_parameters_are_made_anew_from_stored_blocks(
     output: Path, without_logs: Callable[..., TinyFleet]
 ) -> None:

@@ -191,8 +191,10 @@ def test_a_server_without_tls_and_a_refused_address_get_nothing() -> None:
         assert "STARTTLS" in fault_of(server.settings(security="starttls")).why
         server.refused = "gone@plant.example"
         fault = fault_of(server.settings(to=(server.refused,)))
-    assert fault.why == "refused for gone@plant.example"
-    assert server.mails == []
+        assert fault.why == "refused for gone@plant.example"
+        assert server.mails == []
+        fault = fault_of(server.settings(to=("shift@plant.example", server.refused)))
+        assert fault.why == "refused for gone@plant.example"
 
 
 def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:

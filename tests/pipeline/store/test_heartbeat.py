@@ -21,7 +21,8 @@ def beat_of(output: Path) -> Beat:
     return beat
 
 
-def test_it_beats_between_changes(tmp_path: Path) -> None:
+def test_it_beats_between_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.store.heartbeat.INTERVAL_S", 0.01)
     written = threading.Semaphore(0)
 
     class Counted(Heartbeat):
@@ -29,7 +30,7 @@ def test_it_beats_between_changes(tmp_path: Path) -> None:
             super().say(**changes)
             written.release()
 
-    with Counted(tmp_path, 3, None, interval_s=0.01):
+    with Counted(tmp_path, 3, None):
         assert all(written.acquire(timeout=10) for _ in range(4))
         assert beat_of(tmp_path).state == "running"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
+import duckdb
 import polars as pl
 import pytest
 from hypothesis import given, settings
@@ -12,9 +13,9 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.errors import StoreError
-from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, Table, frame
+from pipeline.schema import BLOCKS, LOG_FILES, NIGHT_TABLES, QUALITY, TABLES, Table, frame
 from pipeline.store.published import note, verify_tables
-from pipeline.store.publishing import stage
+from pipeline.store.publishing import VIEWS, stage, write_views
 from pipeline.store.state import open_state
 from pipeline.store.tables import files_of, nights_back, read_rows, read_table, table_folder
 from tests.pipeline.calling import contents, refused
@@ -179,3 +180,28 @@ class TestRefused:
         in_the_way.unlink()
         publish(tmp_path, {"A": rows(LATER)})
         assert list(verify_tables(tmp_path)) == []
+
+
+def opened(output: Path, monkeypatch: pytest.MonkeyPatch) -> duckdb.DuckDBPyConnection:
+    """As `duckdb -init views.sql` in the output folder."""
+    monkeypatch.chdir(output)
+    connection = duckdb.connect()
+    connection.execute(Path(VIEWS).read_text("utf-8"))
+    return connection
+
+
+def test_views_on_an_empty_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as connection:
+        for table in TABLES:
+            view = connection.table(table.name)
+            assert (view.columns, view.fetchall()) == (list(table.schema), [])
+
+
+def test_types_of_an_empty_view_are_those_of_its_files(
+    tmp_path: Path, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as empty, opened(fitted_output, monkeypatch) as full:
+        for table in TABLES:
+            assert empty.table(table.name).types == full.table(table.name).types, table.name
