@@ -66,57 +66,54 @@ def transport_lag(
     longest = int(LONGEST_S / period_s)
     if longest < 1 or len(index) < 2 * longest or not np.ptp(flow):
         return None
-    place = np.full(int(index[-1] - index[0]) + 1, -1)
-    place[index - index[0]] = np.arange(len(index))
     chosen = np.linspace(0, len(index) - 1, min(len(index), MOST_SAMPLES)).astype(np.int64)
     zero = -round(paired_s / period_s)
-
+    coarse, fine = (max(round(step_s / period_s), 1) for step_s in (COARSE_S, FINE_S))
+    # Place of each sample of the time base, -1 where there is none, as far as any lag reaches.
+    reach = longest + abs(zero) + coarse + fine
+    first = int(index[0]) - reach
+    place = np.full(int(index[-1]) - first + reach + 1, -1)
+    place[index - first] = np.arange(len(index))
+    here = index[chosen] - first
     # Of all samples of a day it would cost more than the search.
     centre, spread = drivers[chosen].mean(axis=0), drivers[chosen].std(axis=0)
     scale = centre, np.where(spread > 0.0, spread, 1.0)
 
     @cache
     def explained(lag: int, apart: int = 1) -> float:
-        return _explained(flow, drivers, scale, place, index, chosen[::apart], lag)
+        return _explained(flow, drivers, scale, chosen[::apart], place[here[::apart] - lag])
 
-    coarse, fine = (max(round(step_s / period_s), 1) for step_s in (COARSE_S, FINE_S))
     apart = max(len(chosen) // ENOUGH_FOR_COARSE, 1)
     every = range(zero - longest, zero + longest + 1, coarse)
     likely = sorted(every, key=lambda lag: explained(lag, apart))[-LIKELY:]
     near = max(likely, key=explained)
     best = max(range(near - coarse, near + coarse + 1, fine), key=explained)
-    before, here, after = (explained(best + step) for step in (-fine, 0, fine))
-    if min(before, here, after) <= 0.0 or abs(best - zero) >= longest:
+    before, middle, after = (explained(best + step) for step in (-fine, 0, fine))
+    if min(before, middle, after) <= 0.0 or abs(best - zero) >= longest:
         return None
-    bend = before - 2.0 * here + after
+    bend = before - 2.0 * middle + after
     top = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     lag_s = paired_s + (best + fine * top) * period_s
-    return TransportLag(lag_s, here - explained(zero))
+    return TransportLag(lag_s, middle - explained(zero))
 
 
 def _explained(
-    flow: Array,
-    drivers: Array,
-    scale: tuple[Array, Array],
-    place: Places,
-    index: Places,
-    chosen: Places,
-    lag: int,
+    flow: Array, drivers: Array, scale: tuple[Array, Array], chosen: Places, partner: Places
 ) -> float:
-    """Return R² of the flow on the drivers so many places before; 0 where samples are too few."""
-    at = index[chosen] - index[0] - lag
-    inside = (at >= 0) & (at < len(place))
-    partner = np.where(inside, place[np.where(inside, at, 0)], -1)
+    """Return R² of the flow on the drivers at other places, -1: at none; 0 where these are few."""
     paired = partner >= 0
-    if np.count_nonzero(paired) < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
+    n = int(np.count_nonzero(paired))
+    if n < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
         return 0.0
-    y, u = flow[chosen[paired]], (drivers[partner[paired]] - scale[0]) / scale[1]
-    means, mean = u.mean(axis=0), y.mean()
-    total = float(y @ y - len(y) * mean**2)
+    if n < len(chosen):
+        chosen, partner = chosen[paired], partner[paired]
+    y, u = flow[chosen], (drivers[partner] - scale[0]) / scale[1]
+    means, mean = u.sum(axis=0) / n, y.mean()
+    total = float(y @ y - n * mean**2)
     if total <= 0.0:
         return 0.0
     # Of a motor at one load the drivers are nearly one and the same.
-    products = u.T @ y - len(y) * mean * means
-    squares = u.T @ u - len(y) * np.outer(means, means)
+    products = u.T @ y - n * mean * means
+    squares = u.T @ u - n * np.outer(means, means)
     theta = np.linalg.lstsq(squares, products, rcond=1e-9)[0]
     return float(products @ theta) / total

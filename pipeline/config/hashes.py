@@ -158,13 +158,15 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     >>> why_anew({"trends": {"trend": {"x": 2}}}, {"trends": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
     """
+    if not before or before == now:
+        return "changed settings"
     versions = before.get("versions", {})
     steps = [
         f"{key} {versions.get(key, '?')} to {version}"
         for key, version in now.get("versions", {}).items()
         if version != versions.get(key)
     ]
-    if steps and before:
+    if steps:
         return f"another version of the program ({', '.join(steps)})"
     parts = ("nights", "trends") if trends else ("nights",)
     old, new = (
@@ -172,7 +174,7 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
         for settings in (before, now)
     )
     names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-    if not names or not before:
+    if not names:
         return "changed settings"
     more = ", …" if len(names) > SETTINGS_NAMED else ""
     return f"changed setting {', '.join(names[:SETTINGS_NAMED])}{more}"

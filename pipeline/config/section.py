@@ -234,20 +234,22 @@ class Section(BaseModel):
 
     @classmethod
     @cache
-    def _keys_of(cls, stage: Stage) -> tuple[tuple[str, bool], ...]:
-        """Return keys of a stage, and those that may hold tables, with whether they are of it."""
-        return tuple(
-            (key, is_of_it)
+    def _keys_of(cls, stage: Stage) -> tuple[tuple[str, bool, bool], ...]:
+        """Return keys of a stage, and those that may hold tables: whether of it, and may hold."""
+        keys = (
+            (key, is_of_it, _holds_tables(cls.model_fields[key].annotation))
             for key, is_of_it in cls.in_stage(stage).items()
-            if is_of_it or _holds_tables(cls.model_fields[key].annotation)
         )
+        return tuple((key, is_of_it, holds) for key, is_of_it, holds in keys if is_of_it or holds)
 
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """Return all settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
-        for key, is_of_it in self._keys_of(stage):
+        for key, is_of_it, may_hold_tables in self._keys_of(stage):
             value = getattr(self, key)
-            if isinstance(value, Section):
+            if not may_hold_tables:
+                found[key] = value
+            elif isinstance(value, Section):
                 part = value.shaping(stage)
                 found |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):

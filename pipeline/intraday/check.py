@@ -37,7 +37,7 @@ from pipeline.intraday.rows import (
     row_of,
 )
 from pipeline.logs.processed import as_published, read_processed, read_settings
-from pipeline.night.fit_night import Insufficient
+from pipeline.night.time_base import Insufficient
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import OF_INTRADAY, deliver, open_outbox, receivers_of
 from pipeline.schema import BLOCKS

@@ -26,16 +26,15 @@ from pipeline.logs.finding import find_logs
 from pipeline.logs.processed import FileRecord
 from pipeline.night.column_change import COLUMNS, USUAL_NIGHTS, column_change, usual_readings
 from pipeline.night.fit_night import (
-    Insufficient,
     choose_parts,
     clean_channels,
     require_enough,
     require_parts,
 )
 from pipeline.night.sample_rows import block_rows
-from pipeline.night.statistics import night_statistics
+from pipeline.night.statistics import night_statistics, sensor_ratio
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.night.viscosity import sensor_ratio
+from pipeline.night.time_base import Insufficient
 from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows
 from pipeline.trends.nights.checkpoint import decoded, key_of
@@ -136,8 +135,6 @@ def blocks_so_far(
     require_parts(samples, outside)
     motor = spec.stated.motor(night.date, spec.file.flushing.mode)
     ratio = sensor_ratio(motor.oil, samples)
-    if isinstance(ratio, str):
-        raise Insufficient("", ratio)
     # Blocks are not merged: what follows is not there yet.
     statistics = night_statistics(spec.stated, motor, night, samples, is_merged=False)
     rows = block_rows(spec, night.date, motor, statistics, ratio)

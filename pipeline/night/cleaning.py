@@ -1,43 +1,144 @@
 """A channel's samples in order, every rule applied, and what each of them refused counted.
 
 Channels are cleaned on their own samples, before the time base: one bad temperature sample,
-interpolated to 10 Hz, would spoil nineteen. The rules themselves are in `pipeline.night.masks`.
+interpolated to 10 Hz, would spoil nineteen. Samples are readings, changes, means of a period, or
+counts of a volume: the config says which (`[channels.<name>] sampling`, `counts`); nothing here
+guesses. The rules on arrays are in `pipeline.night.masks`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
+from pipeline.config import Channel, Cleaning
+from pipeline.config.channels import ChannelName
+from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import (
-    PERIODIC,
-    ChannelRules,
-    Sampling,
-    flow_from_counts,
-    step_of_readings,
-)
 from pipeline.night.masks import (
+    CM3_PER_US_TO_L_PER_MIN,
     ROUNDING,
     at_maximum,
+    flow_from_counts,
     frozen,
+    missing_sample,
     out_of_range,
     spike,
+    step_of_readings,
     stretches,
 )
-from pipeline.night.time_order import SharedStamps, Steps, carried_over, corrected, samples_of
+from pipeline.night.time_order import SharedStamps, Steps
+from pipeline.units import FALLBACK_VALID_RANGE
 
 # Hampel's filter: samples in its centred window, and scaled MAD off their median that are a spike.
 HAMPEL_WINDOW, HAMPEL_THRESHOLD = 11, 5.0
 # Silence of more sample periods is a gap.
 GAP_SAMPLE_PERIODS = 5.0
+# Time without a change after which a sensor is frozen; oil holds its temperature for longer.
+FROZEN_AFTER_S, TEMPERATURE_FROZEN_AFTER_S = 60.0, 900.0
+# Oil temperature is logged once a second or less: its silence is a gap after this time.
+TEMPERATURE_GAP_S = 5.0
+# Longest period of a mean that a fit can use: over longer ones conditions change too much.
+MAXIMUM_MEAN_S = 10.0
+# Where the stamp of a mean stands in its period: what leads from there to the middle.
+TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
 Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRules:
+    """What a channel's samples are, and the rules that they are judged by."""
+
+    valid_range: tuple[float, float]  # lowest and highest plausible value [bar, °C, rpm or l/min]
+    sensor_maximum: float | None  # highest value the sensor gives, or None
+    resolution: float  # smallest step of the sensor
+    frozen_after_s: float  # longest credible time without a change [s]
+    longest_gap_s: float | None  # longer silence is a gap; None: by the sample period
+    shortest_gap_s: float = 0.0  # a gap is no shorter, however fast the samples are
+    # Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
+    at_rest_below: float = 0.0
+    # A sample is written where the value changes: silence is no gap, and there is no period.
+    on_change: bool = False
+    hold: bool = False  # between two samples the first one holds; else the value is interpolated
+    mean_us: float = 0.0  # period of which a sample is the mean; 0: a reading
+    shift_us: int = 0  # from the stamp as logged to the time at which the sample holds
+    # `cumulative` for a running total, `pulses` for counts since the sample before; None for a
+    # flow. Volume of one count, and the count after which a running total begins at 0 again.
+    counts: str | None = None
+    volume_per_count_cm3: float = 0.0
+    rolls_over_at: float | None = None
+    # A row of the log is of this channel alone, so that one without a value says that there is
+    # none; else it may only be a row of another channel.
+    has_rows_of_its_own: bool = False
+
+    @classmethod
+    def of(
+        cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
+    ) -> ChannelRules:
+        """Return the rules of a channel: its own keys where stated, else the fleet's."""
+        is_temperature = name == "oil_temperature"
+        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
+        # A value that did not change was not sent: silence is no sign of a frozen sensor.
+        silence_s = channel.longest_silence_s or 0.0
+        fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
+        mean_s = channel.mean_of_s or 0.0
+        shift_s = channel.time_offset_s + TO_THE_MIDDLE[channel.mean_stamp] * mean_s
+        rules = cls(
+            valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
+            sensor_maximum=channel.sensor_maximum,
+            resolution=channel.resolution,
+            frozen_after_s=channel.frozen_after_s or fallback,
+            longest_gap_s=silence_s or None,
+            shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
+            at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
+            on_change=channel.sampling == "on_change",
+            hold=channel.between == "hold",
+            mean_us=mean_s * SECOND_US,
+            shift_us=round(shift_s * SECOND_US),
+            counts=channel.counts,
+            volume_per_count_cm3=channel.volume_per_count_cm3 or 0.0,
+            rolls_over_at=channel.counter_rolls_over_at,
+            has_rows_of_its_own=logs is not None and logs.layout != "wide",
+        )
+        # A value that is stated is refused by none.
+        anything, ever = (-math.inf, math.inf), math.inf
+        stated = replace(rules, valid_range=anything, frozen_after_s=ever, longest_gap_s=ever)
+        return rules if channel.constant is None else stated
+
+    def longest_gap_us(self, period_us: float | None) -> float:
+        """Return the longest silence that is no gap, at a typical period."""
+        if self.longest_gap_s is not None:
+            return self.longest_gap_s * SECOND_US
+        return max(GAP_SAMPLE_PERIODS * (period_us or 0.0), self.shortest_gap_s * SECOND_US)
+
+    def step_of(self, readings: Values, period_us: float | None) -> float:
+        """Return the step of readings: stated, of one count in a period, or as they show it."""
+        counted = 0.0
+        if self.counts is not None and period_us:
+            counted = self.volume_per_count_cm3 / period_us * CM3_PER_US_TO_L_PER_MIN
+        return max(self.resolution, counted) or step_of_readings(readings)
+
+
+def means_too_long(channels: Mapping[ChannelName, Channel]) -> str | None:
+    """Return which channels are means of too long periods for a fit, in words; None: there is none.
+
+    A mean of the inputs is no input of the mean: the leakage is not linear in them.
+    """
+    found = [
+        f"{name} is logged as means of {channel.mean_of_s:g} s"
+        for name, channel in channels.items()
+        if channel.mean_of_s is not None and channel.mean_of_s > MAXIMUM_MEAN_S
+    ]
+    if not found:
+        return None
+    return f"{'; '.join(found)}; at most {MAXIMUM_MEAN_S:g} s are allowed: log it more often"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +179,12 @@ class CleanChannel:
     steps: Steps  # from each sample to the next, and their typical length
     longest_gap_us: float  # longer silence than this is a gap
     gaps: Places  # steps that are one
+    rules: ChannelRules  # what the samples are
     counts: Mapping[str, int]  # refused samples by reason, and ``any`` for those refused at all
     n_samples: int  # samples that the rules looked at
     # Samples by reason that were kept although it applies: `backward_time` for those put back in
     # order, `jitter` for those that came off their period.
     noted: Mapping[str, int] = field(default_factory=dict)
-    sampling: Sampling = PERIODIC  # what the samples are
     # Samples of an on-change channel from which on there is no value, shape (n,); None: none.
     ends: Mask | None = None
     # Samples at the front that are from before the night, 0 or 1; no count has them.
@@ -118,21 +219,21 @@ def clean_channel(
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
     )
-    cells = corrected(here.rows(order.rows, order.time_us), rules)
+    cells = _corrected(here.rows(order.rows, order.time_us), rules)
     # A day at 100 Hz is not to be in memory twice.
     del raw, here
     readings_us = cells.time_us if not cells.missing.any() else cells.time_us[~cells.missing]
     steps = stamps.steps(readings_us)
-    longest_gap_us = _longest_gap_us(steps.period_us, rules)
-    samples = samples_of(cells, rules, steps.period_us)
+    longest_gap_us = rules.longest_gap_us(steps.period_us)
+    samples = _samples_of(cells, rules, steps.period_us)
     if samples.time_us is not readings_us:
         steps = steps.with_period(samples.time_us)
     noted = {"backward_time": n_put_back}
-    if not rules.sampling.on_change:
+    if not rules.on_change:
         noted["jitter"] = steps.n_jittered(samples.time_us)
     n_carried = 0
     if early is not None and night_start_us is not None:
-        carried = carried_over(early, rules, night_start_us - longest_gap_us)
+        carried = _carried_over(early, rules, night_start_us - longest_gap_us)
         n_carried = len(carried.time_us)
         if n_carried:
             samples = RawChannel.joined([carried, samples])
@@ -142,12 +243,22 @@ def clean_channel(
         steps = steps.with_period(time)
     gaps = steps.longer_than(longest_gap_us, time)
     credible = ~reduce(np.logical_or, masks.values())
-    course = _course(time, value, credible, gaps, longest_gap_us, rules, steps.period_us, rests)
+    rows = chosen_rows(credible)
+    course_us, readings = time[rows], value[rows]
+    course = Course(
+        course_us,
+        readings,
+        _borders(course_us, gaps, np.flatnonzero(~credible), longest_gap_us),
+        rules,
+        rules.step_of(readings, steps.period_us),
+        rests,
+    )
     masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     refused = reduce(np.logical_or, masks.values())
     counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
     counts |= {"backward_time": n_backward, "duplicate_time": n_duplicate}
     out_of_order = n_backward + n_duplicate
+    ends = (masks[name] for name in ("missing", "not_finite", "bad_quality") if name in masks)
     return CleanChannel(
         time_us=time,
         value=value,
@@ -156,41 +267,82 @@ def clean_channel(
         steps=steps,
         longest_gap_us=longest_gap_us,
         gaps=gaps,
+        rules=rules,
         counts=counts | {"any": int(np.count_nonzero(refused[n_carried:])) + out_of_order},
         n_samples=len(time) - n_carried + out_of_order,
         noted=noted,
-        sampling=rules.sampling,
-        ends=_ends(masks) if rules.sampling.on_change else None,
+        ends=reduce(np.logical_or, ends) if rules.on_change else None,
         n_carried=n_carried,
     )
 
 
-def _ends(masks: Mapping[str, Mask]) -> Mask:
-    """Return samples that say that there is no value from there on."""
-    found: Mask = masks["missing"] | masks["not_finite"]
-    return found | masks["bad_quality"] if "bad_quality" in masks else found
+def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
+    """Return samples at the times at which they hold."""
+    return replace(raw, time_us=raw.time_us + rules.shift_us) if rules.shift_us else raw
+
+
+def _samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) -> RawChannel:
+    """Return cells in order without the blank ones that are no sample."""
+    if rules.on_change:
+        samples = _says_something(cells, rules)
+    elif cells.missing.any():
+        row_us = Steps.of(cells.time_us).period_us
+        samples = ~cells.missing
+        samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
+    else:
+        return cells
+    return cells if samples.all() else cells.rows(samples)
+
+
+def _says_something(cells: RawChannel, rules: ChannelRules) -> Mask:
+    """Return cells of an on-change channel that hold a value, or say that there is none."""
+    if rules.has_rows_of_its_own:
+        return np.ones(len(cells.time_us), dtype=np.bool_)
+    says: Mask = ~cells.missing
+    return says if cells.bad_quality is None else says | cells.bad_quality
+
+
+def _carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) -> RawChannel:
+    """Return the last sample of an on-change channel before the night, if it may hold; or none."""
+    says = _says_something(early, rules) & (early.time_us >= earliest_us)
+    rows = np.flatnonzero(says) if rules.on_change else np.empty(0, np.intp)
+    # Of two at one time the first one counts, as within the night.
+    last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
+    return _corrected(early.rows(last), rules)
 
 
 def _judged_alone(
     samples: RawChannel, rules: ChannelRules, longest_gap_us: float
 ) -> tuple[Times, Values, dict[str, Mask]]:
     """Return times and values, of a counter as a flow, and what each value is refused for alone."""
-    time, value, sampling = samples.time_us, samples.value, rules.sampling
+    time, value, bad = samples.time_us, samples.value, samples.bad_quality
     masks = {"missing": samples.missing, "not_finite": ~(samples.missing | np.isfinite(value))}
-    if samples.bad_quality is not None:
-        masks["bad_quality"] = samples.bad_quality
-    if sampling.counts is not None:
-        trusted = (
-            value if samples.bad_quality is None else np.where(samples.bad_quality, np.nan, value)
+    if bad is not None:
+        masks["bad_quality"] = bad
+    if rules.counts is not None:
+        time, value, of_counter = flow_from_counts(
+            time,
+            value if bad is None else np.where(bad, np.nan, value),
+            longest_gap_us,
+            rules.volume_per_count_cm3,
+            is_total=rules.counts == "cumulative",
+            rolls_over_at=rules.rolls_over_at,
         )
-        counted = flow_from_counts(time, trusted, longest_gap_us, sampling)
-        time, value = counted.time_us, counted.flow_l_per_min
-        masks |= {"no_interval": counted.no_interval, "counter_reset": counted.counter_reset}
+        masks |= of_counter
     masks |= {
         "out_of_range": out_of_range(value, rules.valid_range),
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     return time, value, masks
+
+
+def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
+    """Return first of the credible samples after a gap; the other places are among all samples."""
+    behind = np.append(long_steps, refused) + 1
+    first: Places = np.unique(behind - np.searchsorted(refused, behind))
+    first = first[(first > 0) & (first < len(time_us))]
+    after_gap: Mask = time_us[first] - time_us[first - 1] > longest_gap_us
+    return first[after_gap]
 
 
 def _within(chosen: Mask, flags: Mask) -> Mask:
@@ -210,49 +362,20 @@ class Course:
     value: Values
     borders: Places  # first samples after a gap, in which nobody saw the sensor
     rules: ChannelRules  # the channel's limits
-    # Step of the readings: stated, of a counter's periods, or as the readings show it.
-    resolution: float
-    rests: Rests = NO_RESTS
-
-
-def _course(
-    time_us: Times,
-    value: Values,
-    credible: Mask,
-    gaps: Places,
-    longest_gap_us: float,
-    rules: ChannelRules,
-    period_us: float | None,
-    rests: Rests,
-) -> Course:
-    """Return the credible samples with the gaps between them and their resolution."""
-    rows = chosen_rows(credible)
-    kept_us, readings = time_us[rows], value[rows]
-    borders = _borders(kept_us, gaps, np.flatnonzero(~credible), longest_gap_us)
-    stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
-    return Course(kept_us, readings, borders, rules, stated or step_of_readings(readings), rests)
-
-
-def _borders(time_us: Times, long_steps: Places, refused: Places, longest_gap_us: float) -> Places:
-    """Return first of the credible samples after a gap; the other places are among all samples."""
-    behind = np.append(long_steps, refused) + 1
-    first: Places = np.unique(behind - np.searchsorted(refused, behind))
-    first = first[(first > 0) & (first < len(time_us))]
-    after_gap: Mask = time_us[first] - time_us[first - 1] > longest_gap_us
-    return first[after_gap]
+    resolution: float  # step of the readings
+    rests: Rests
 
 
 def _spikes(course: Course) -> Mask:
     """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
-    rules = course.rules
     # A compressed archive holds only what differs from its neighbourhood.
-    if rules.sampling.on_change:
+    if course.rules.on_change:
         return np.zeros(len(course.value), dtype=np.bool_)
     return spike(course.value, HAMPEL_WINDOW, HAMPEL_THRESHOLD, course.resolution, course.borders)
 
 
 def _stuck(course: Course) -> Mask:
-    """Return frozen values; a gap adds no time to a stretch."""
+    """Frozen values; a gap adds no time to a stretch."""
     rules = course.rules
     after_us = rules.frozen_after_s * SECOND_US
     stuck = frozen(course.time_us, course.value, rules.resolution, after_us, course.borders)
@@ -260,19 +383,12 @@ def _stuck(course: Course) -> Mask:
         # As many counts in each period are a steady flow; none for long is a counter that
         # stopped.
         at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
-        counts = rules.sampling.counts
         still = course.value[stuck]
-        stuck[stuck] = (still == 0.0) if counts else np.abs(still) >= at_rest_below
-        stuck &= ~course.rests.hold(course.time_us)
+        moves = (still == 0.0) if rules.counts else np.abs(still) >= at_rest_below
+        stuck[stuck] = moves & ~course.rests.hold(course.time_us[stuck])
     return stuck
 
 
 # Rules for the credible samples of one channel, by their reason in `quality`. Each gives a mask
 # of the samples that it refuses; `QUALITY_REASONS` has the words.
 CHANNEL_RULES: dict[str, Callable[[Course], Mask]] = {"spike": _spikes, "frozen": _stuck}
-
-
-def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:
-    if rules.longest_gap_s is not None:
-        return rules.longest_gap_s * SECOND_US
-    return max(GAP_SAMPLE_PERIODS * (period_us or 0.0), rules.shortest_gap_s * SECOND_US)

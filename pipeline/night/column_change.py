@@ -120,7 +120,9 @@ def _other_unit(
         if configured.counts is not None:
             continue
         for unit in UNITS[QUANTITIES[name]]:
-            reading = _in_unit(name, now[name], configured.unit, unit)
+            # As it is if the log is in another unit than configured.
+            as_logged = from_canonical(name, now[name], configured.unit)
+            reading = float(to_canonical(name, as_logged, unit))
             is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
             is_other = reading > 0.0 and is_unusual and _factor(reading, now[name]) > FAR
             if is_other and _signs(model_flow, name, reading, usual, now) >= SIGNS:
@@ -132,11 +134,6 @@ def _other_unit(
     is_as_before = _factor(now[FLOW], usual[FLOW]) <= FAR
     if far > GAUGE_FAR and DIFFERENCE not in channels and is_as_before:
         yield f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?"
-
-
-def _in_unit(name: str, value: float, configured: str, unit: str) -> float:
-    """Return a reading as it is if the log is in another unit than configured."""
-    return float(to_canonical(name, from_canonical(name, value, configured), unit))
 
 
 def _signs(
@@ -158,7 +155,8 @@ def _signs(
         left_of_range, is_exact, is_related = left, left < USUAL, off > WORN
     if left_of_range > NEAR:
         return 0
-    others = [channel for channel in COLUMNS if channel not in (name, _difference_of(name))]
+    own = {name, DIFFERENCE} if name in PORT_PRESSURES else {name}
+    others = [channel for channel in COLUMNS if channel not in own]
     return is_exact + is_related + all(_is_usual(other, usual, now) for other in others)
 
 
@@ -175,10 +173,6 @@ def _with_reading(name: str, reading: float, now: Mapping[str, float]) -> dict[s
         high, low = (right[port] for port in PORT_PRESSURES)
         right[DIFFERENCE] = abs(high - low)
     return right
-
-
-def _difference_of(name: str) -> str:
-    return DIFFERENCE if name in PORT_PRESSURES else name
 
 
 def _relation(model_flow: ModelFlow, means: Mapping[str, float]) -> float:

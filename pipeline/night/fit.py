@@ -1,30 +1,56 @@
-"""A night's fits, one for each mode of flushing, and the tolerances in their error budgets.
+"""The one fit, from stored blocks: of a night just read, of one fitted anew, of nights together.
 
-Tolerances of sensors are as stated, or by the kind of sensor where none is.
+The total ± of a figure, of samples, sensors and model, is half the width of a 95 % interval of the
+figure itself; a stated tolerance counts as two standard deviations, and of sensors whose tolerance
+nobody stated that of their kind holds. A motor that is compared with itself takes the statistical
+part alone: what its sensors and its model do wrong is the same on all nights.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import replace
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from leakage import LeakageError, Motor, OperatingConditions
+from leakage import EstimationError, LeakageError, Motor, OperatingConditions, regressors
+from leakage.estimation.block_fit import BlockEstimate, fit_blocks
+from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
+from leakage.estimation.identifiability import (
+    Excitation,
+    Identification,
+    Judgement,
+    LeakageJudgement,
+    identify,
+    is_outside,
+    judge_by_total,
+    judge_leakage,
+)
+from leakage.estimation.misfit import Misfit, model_errors
+from leakage.estimation.proven_minimum import Fit, ProvenMinimum, fit
 from leakage.estimation.sensitivities import (
+    SENSORS,
     ChannelTolerance,
-    ErrorBudget,
     Tolerances,
     error_budget,
 )
 from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
-from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
-from pipeline.night.parameter_rows import Row, error_budget_rows
-from pipeline.night.residuals import night_residuals
 from pipeline.night.statistics import NightStatistics
 from pipeline.night.stored_blocks import StoredBlocks
 
+Row = dict[str, Any]
+
+REFERENCE, OWN = "fitted_leakage", "own_conditions_leakage"
+# ± of a change of all loss factors with temperature, which one night cannot tell (model.md,
+# section 5) [1/K].
+UNKNOWN_PER_KELVIN = 0.01
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # EN 837-1, class 1: 1 % of the range, which is this where the config tells none [bar].
 PRESSURE_CLASS, PRESSURE_RANGE_BAR = 0.01, 400.0
@@ -32,18 +58,62 @@ PRESSURE_CLASS, PRESSURE_RANGE_BAR = 0.01, 400.0
 PT100_CLASS_B_K = 0.55
 # Gear meters within their range: 1 % of the reading.
 GEAR_METER = 0.01
+# Channels of which a tolerance is assumed; of the speed none is.
+ASSUMED = ("pressure_difference", "oil_temperature", "leakage_flow")
 # Samples that carry the tolerances: the effects are smooth, and more would not move them.
 SENSITIVITY_SAMPLES = 1500
-ASSUMED = {
-    "pressure_difference": "class 1",
-    "oil_temperature": "Pt100 class B",
-    "leakage_flow": "gear meter",
-}
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorParts:
+    """Half-widths of a figure, in its unit."""
+
+    statistical: float | None  # of the interval from the samples; None without one
+    sensor: float  # from tolerances of the sensors, stated or assumed
+    model: float | None  # from the night's structured misfit; None where it is not known
+    # From tolerances of constants, as far as they are not the same on all nights.
+    constants: float = 0.0
+
+    @property
+    def beside_samples(self) -> float:
+        """All parts but the statistical one."""
+        return math.hypot(self.sensor, self.model or 0.0, self.constants)
+
+    @property
+    def total(self) -> float | None:
+        """Of all parts, by their squares; None without an interval from the samples."""
+        if self.statistical is None:
+            return None
+        return math.hypot(self.statistical, self.beside_samples)
+
+
+@dataclass(frozen=True, slots=True)
+class BlockFit:
+    """The fit under one mode of flushing."""
+
+    name: str  # none, fixed or estimated
+    # fit, identification: estimates from all kept samples; verdicts and intervals.
+    fit: Fit
+    # training: The fit to the training samples alone, which is validated on the others
+    training: ProvenMinimum
+    # Estimates of the model as it is stated: what the predictions and the misfit are of.
+    stated: BlockEstimate
+    identification: Identification
+    block_s: float  # usual length of the blocks [s]
+    duration_s: float  # time from the first sample to the last [s]
+    reference_conditions: OperatingConditions  # where the reference leakage is evaluated
+    reference: LeakageJudgement  # leakage there
+    # ± from stated tolerances by indicator, in its unit; without those that have none.
+    systematic: Mapping[str, float]
+    errors: Mapping[str, ErrorParts]  # parts of the ± by indicator
+    # Scale of the rollers' curve by the blocks, and the verdict on it, whether or not the fit uses
+    # it; None without such a curve.
+    roller: tuple[float, Judgement] | None
 
 
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
-) -> tuple[tuple[BlockFit, ...], list[Row]]:
+) -> tuple[list[BlockFit], list[Row]]:
     """Return a fit for each mode of flushing, the primary one first, and rows of `error_budget`.
 
     Raises EstimationError if there are fewer samples than free coefficients.
@@ -52,47 +122,224 @@ def fit_modes(
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
         motor = spec.stated.motor(night, mode)
-        budget = _budget(spec, statistics, motor, at, night)
-        of_mode = error_budget_rows(motor, budget, assumed_sensors(spec))
-        fits.append(fit_stored_blocks(spec, night, mode, blocks, at, of_mode))
-        rows += [{"flushing_mode": mode} | row for row in of_mode]
-    return tuple(fits), rows
+        budget = list(_budget_rows(spec, statistics, motor, at, night))
+        fits.append(fit_stored_blocks(spec, night, mode, blocks, at, budget))
+        rows += [{"flushing_mode": mode} | row for row in budget]
+    return fits, rows
 
 
-def with_residuals(
-    statistics: NightStatistics, modes: tuple[BlockFit, ...]
-) -> tuple[BlockFit, ...]:
-    """Return fits with the analyses of what they leave unexplained."""
-    return tuple(
-        replace(mode, residuals=night_residuals(statistics, mode.stated.training.coefficients))
-        for mode in modes
+def fit_stored_blocks(
+    spec: MotorSpec,
+    night: dt.date,
+    mode: str,
+    blocks: StoredBlocks,
+    at: tuple[OperatingConditions, OperatingConditions],
+    budget: Sequence[Mapping[str, Any]],
+) -> BlockFit:
+    """Fit a motor, in the form in which it is fitted, to blocks of samples.
+
+    `at` are the conditions of the leakages: :func:`conditions`; `budget` are the mode's rows of
+    `error_budget`. Raises EstimationError if there are fewer training samples than free
+    coefficients.
+    """
+    motor = spec.stated.motor(night, mode)
+    samples = blocks.sample_blocks()
+    stated = fit_blocks(samples, motor)
+    made = stated
+    if spec.roller_is_free and motor.standard is not None:
+        free, samples = motor.with_free_standard(), samples.with_free_known(*scale_of(motor))
+        made = fit_blocks(samples, free)
+    fitted, excitation = made.fit, samples.excitation
+    identification = made.identified(excitation)
+    where = dict(zip((REFERENCE, OWN), at, strict=True))
+    misfits = made.misfit, stated.misfit
+    errors = _errors(made, identification, excitation, misfits, where, budget)
+    beside = errors[REFERENCE].beside_samples
+    total = {
+        place: errors[path.coefficient_name].total
+        for place, path in enumerate(fitted.motor.coefficient_paths)
+        if path is not None and path.coefficient_name in errors
+    }
+    return BlockFit(
+        name=mode,
+        fit=fitted,
+        training=made.training,
+        stated=stated,
+        identification=judge_by_total(fitted, identification, total),
+        block_s=samples.block_s,
+        duration_s=blocks.duration_s,
+        reference_conditions=at[0],
+        reference=judge_leakage(fitted, identification, excitation, at[0], beside),
+        systematic=by_squares(row for row in budget if not row["is_assumed"]),
+        errors=errors,
+        roller=_roller(motor, made, identification, excitation),
     )
 
 
-def _budget(
+def conditions(
+    spec: MotorSpec, blocks: StoredBlocks
+) -> tuple[OperatingConditions, OperatingConditions]:
+    """Return the reference conditions, and the mean ones of some blocks."""
+    charge_bar = blocks.charge_bar
+    return (
+        spec.settings.reference.conditions(charge_bar).operating,
+        OperatingConditions.from_bar(*blocks.means(), charge_bar),
+    )
+
+
+def scale_of(motor: Motor) -> tuple[int, float]:
+    """Return place of the scale of a motor's standard once it is free, and its configured value."""
+    assert motor.standard is not None
+    place = motor.with_free_standard().columns.index(motor.standard.name)
+    return place, motor.standard.configured_coefficient
+
+
+def _roller(
+    motor: Motor,
+    made: BlockEstimate,
+    identification: Identification,
+    excitation: Excitation,
+) -> tuple[float, Judgement] | None:
+    """Return scale of the rollers' curve of a motor as stated, from whitened blocks."""
+    if motor.standard is None:
+        return None
+    place, configured = scale_of(motor)
+    fitted = made.fit
+    if fitted.motor.columns == motor.columns:
+        factors = with_free_known(made.whitened, place, configured)
+        try:
+            fitted = fit(merge(factors), motor.with_free_standard())
+        except EstimationError:
+            return None
+        identification = identify(fitted, factors, excitation, made.slow)
+    return float(fitted.coefficients[place]), identification.coefficients[place]
+
+
+def _errors(
+    made: BlockEstimate,
+    identification: Identification,
+    excitation: Excitation,
+    misfits: tuple[Misfit | None, Misfit | None],
+    at: Mapping[str, OperatingConditions],
+    budget: Sequence[Mapping[str, Any]],
+) -> dict[str, ErrorParts]:
+    """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
+    fitted, distribution = made.fit, identification.distribution
+    fixed = fitted.proven_minimum.fixed
+    sensors = by_squares(row for row in budget if _is_sensor(row))
+    rows = {name: regressors(fitted.motor, place)[0] for name, place in at.items()}
+    leakages = {name: row[:-2] @ fitted.unbounded[:-1] + row[-1] for name, row in rows.items()}
+    constants = 0.0
+    if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:
+        ratio = float(leakages[REFERENCE] / leakages[OWN])
+        apart_k = float(at[REFERENCE].oil_temperature_c[0] - at[OWN].oil_temperature_c[0])
+        gaps = float(leakages[REFERENCE] - rows[REFERENCE][-1])
+        constants = math.hypot(
+            of_extrapolation(budget, ratio),
+            # The night is fitted before its motor's own change with temperature is known.
+            UNKNOWN_PER_KELVIN * apart_k * gaps,
+        )
+    paths = {
+        path.coefficient_name: place
+        for place, path in enumerate(fitted.motor.coefficient_paths)
+        if path is not None and not fixed[place]
+    }
+    contrasts = {name: np.append(row[:-2], 0.0) for name, row in rows.items()}
+    contrasts |= {name: np.eye(len(fixed))[place] for name, place in paths.items()}
+    intervals = {
+        name: None if distribution is None else distribution.interval(contrasts[name])
+        for name in rows
+    }
+    intervals |= {
+        name: identification.coefficients[place].information for name, place in paths.items()
+    }
+    model: list[float | None] = [None] * len(contrasts)
+    taus = [misfits[0]] * len(rows) + [misfits[1]] * len(paths)
+    if any(taus):
+        reach = model_errors(made.whole, fixed, np.array([*contrasts.values()]), 1.0)
+        factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
+        model = [
+            None if tau is None else float(size * tau.l_per_min)
+            for size, tau in zip(factor * reach, taus, strict=True)
+        ]
+    return {
+        name: ErrorParts(
+            None if interval is None else interval.half_width,
+            sensors.get(name, 0.0),
+            part,
+            constants if name == REFERENCE else 0.0,
+        )
+        for (name, interval), part in zip(intervals.items(), model, strict=True)
+    }
+
+
+def by_squares(budget: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Return ± of each indicator from the sources in some rows of `error_budget`."""
+    effects: defaultdict[str, list[float]] = defaultdict(list)
+    for row in budget:
+        effects[row["indicator"]].append(row["effect"])
+    return {indicator: math.hypot(*parts) for indicator, parts in effects.items()}
+
+
+def of_extrapolation(budget: Iterable[Mapping[str, Any]], ratio: float) -> float:
+    """± of the reference leakage against the own one, by constants, scaled by their ratio."""
+    effects: defaultdict[str, float] = defaultdict(float)
+    scale = {REFERENCE: 1.0, OWN: -ratio}
+    for row in budget:
+        if row["indicator"] in scale and not _is_sensor(row):
+            effects[row["source"]] += row["effect"] * scale[row["indicator"]]
+    return math.hypot(*effects.values())
+
+
+def _is_sensor(row: Mapping[str, Any]) -> bool:
+    return str(row["source"]).startswith(SENSORS)
+
+
+def _budget_rows(
     spec: MotorSpec,
     statistics: NightStatistics,
     motor: Motor,
     at: tuple[OperatingConditions, OperatingConditions],
     night: dt.date,
-) -> ErrorBudget:
-    """Return all tolerances carried through evenly thinned samples; empty beyond validity."""
+) -> Iterator[Row]:
+    """Yield rows of `error_budget`: all tolerances carried through evenly thinned samples.
+
+    None where that leads beyond a law's validity.
+    """
     n = len(statistics.samples.index)
     chosen = np.linspace(0, n - 1, min(SENSITIVITY_SAMPLES, n)).round().astype(np.int64)
     thinned = statistics.conditions.part(chosen)
     flow = statistics.samples.leakage_l_per_min[chosen]
-    try:
-        reference, own = at
-        return error_budget(motor, thinned, flow, tolerances(spec, night), [reference], [own])
-    except LeakageError:
-        return ErrorBudget(())
+    reference, own = at
+    with suppress(LeakageError):
+        budget = error_budget(motor, thinned, flow, tolerances(spec, night), [reference], [own])
+        assumed = assumed_sensors(spec)
+        for effect in budget.effects:
+            figures = [
+                (path.coefficient_name, path.coefficient_unit, float(effect.coefficients[place]))
+                for place, path in enumerate(motor.coefficient_paths)
+                if path is not None and path.is_free
+            ]
+            reference_effect, own_effect = effect.leakages_l_per_min.tolist()
+            figures.append((REFERENCE, "l_per_min", reference_effect))
+            figures.append((OWN, "l_per_min", own_effect))
+            for indicator, unit, size in figures:
+                yield {
+                    "indicator": indicator,
+                    "unit": unit,
+                    "effect": size,
+                    "source": effect.source.name,
+                    "tolerance": effect.source.tolerance,
+                    "tolerance_unit": effect.source.unit,
+                    "is_assumed": effect.source.name.split()[0] in assumed,
+                }
 
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
     """Return tolerances of channels, oil and model; of two ports the difference's, by squares."""
     oil, model = spec.oil_on(night), spec.settings.model
     return Tolerances(
-        pressure_bar=_of(spec, *PRESSURES),
+        pressure_bar=_of(spec, "pressure_difference"),
         temperature_c=_of(spec, "oil_temperature"),
         speed_rpm=_of(spec, "speed"),
         flow_l_per_min=_of(spec, "leakage_flow"),
@@ -103,34 +350,31 @@ def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
     )
 
 
-def assumed_sensors(spec: MotorSpec) -> dict[str, str]:
-    """Return kind of sensor by channel, of those without a stated tolerance."""
-    return {
-        name: kind
-        for name, kind in ASSUMED.items()
-        if not any(_is_stated(channel) for _, channel in _channels(spec, name))
-    }
+def assumed_sensors(spec: MotorSpec) -> list[str]:
+    """Return channels whose tolerance is that of their kind of sensor, as none is stated."""
+    return [name for name in ASSUMED if not any(map(_is_stated, _channels(spec, name).values()))]
 
 
-def _channels(spec: MotorSpec, *names: str) -> list[tuple[str, Channel]]:
-    wanted = PRESSURES if "pressure_difference" in names else names
-    return [(name, spec.file.channels[name]) for name in wanted if name in spec.file.channels]
+def _channels(spec: MotorSpec, name: str) -> dict[str, Channel]:
+    """Return the channels that an input is read from."""
+    names = PRESSURES if name == "pressure_difference" else (name,)
+    return {key: spec.file.channels[key] for key in names if key in spec.file.channels}
 
 
 def _is_stated(channel: Channel) -> bool:
     return bool(channel.offset_tolerance or channel.gain_tolerance_percent)
 
 
-def _of(spec: MotorSpec, *names: str) -> ChannelTolerance:
-    channels = _channels(spec, *names)
-    if any(_is_stated(channel) for _, channel in channels):
-        found = [
+def _of(spec: MotorSpec, name: str) -> ChannelTolerance:
+    channels = _channels(spec, name)
+    if any(map(_is_stated, channels.values())):
+        parts = [
             (channel.offset_tolerance, channel.gain_tolerance_percent / 100)
-            for _, channel in channels
+            for channel in channels.values()
         ]
     else:
-        found = [_assumed(name, channel) for name, channel in channels]
-    offset, gain = (float(np.hypot.reduce(part)) for part in zip(*found, strict=True))
+        parts = [_assumed(key, channel) for key, channel in channels.items()]
+    offset, gain = (float(np.hypot.reduce(part)) for part in zip(*parts, strict=True))
     return ChannelTolerance(offset, gain)
 
 

@@ -13,22 +13,28 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from leakage import EstimationError, LeakageError, Motor
+from leakage import EstimationError, LeakageError
 from leakage.estimation.sample_blocks import TRAINING, within
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules, means_too_long
-from pipeline.night.cleaning import Rests, clean_channel
-from pipeline.night.drain_lag import lag_columns
-from pipeline.night.fit import fit_modes, with_residuals
-from pipeline.night.rows import Row, Rows, fit_rows, night_row, of_fit, unfitted_row
+from pipeline.night.cleaning import (
+    NO_RESTS,
+    ChannelRules,
+    CleanChannel,
+    Rests,
+    clean_channel,
+    means_too_long,
+)
+from pipeline.night.fit import fit_modes
+from pipeline.night.residuals import night_residuals
+from pipeline.night.rows import Rows, fit_rows, night_row, of_fit, unfitted_row
 from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
-from pipeline.night.statistics import NightStatistics, night_statistics
+from pipeline.night.statistics import NightStatistics, night_statistics, sensor_ratio
 from pipeline.night.stored_blocks import StoredBlocks
-from pipeline.night.time_base import Quality, Samples, bring_together
+from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
 from pipeline.night.time_order import SharedStamps
-from pipeline.night.viscosity import SensorRatio, sensor_ratio
+from pipeline.schema import Row
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
 
@@ -51,16 +57,6 @@ class NightOutcome:
     rows: Rows  # rows by table name, without ``run_id``
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
     tables: tuple[str, ...] | None = None  # names of the tables that are new; None: all
-
-
-class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
-    """The night has too little to fit; carries the outcome, the reason and a failure's code."""
-
-    def __init__(self, status: str, reason: str, *, code: str | None = None) -> None:
-        super().__init__(status, reason)
-        self.status = status
-        self.reason = reason
-        self.code = code
 
 
 def fit_night(
@@ -94,7 +90,7 @@ def fit_night(
         with _timed(seconds, "statistics_s"):
             motor = spec.stated.motor(night.date, spec.file.flushing.mode)
             statistics = night_statistics(spec.stated, motor, night, samples)
-            ratio = _sensor_ratio(motor, samples)
+            ratio = sensor_ratio(motor.oil, samples)
             rows["blocks"] = block_rows(spec, night.date, motor, statistics, ratio)
         with _timed(seconds, "fit_s"):
             _require_training(statistics)
@@ -102,11 +98,10 @@ def fit_night(
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, budget = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
-            modes = with_residuals(statistics, modes)
+            coefficients = [mode.stated.training.coefficients for mode in modes]
+            residuals = [night_residuals(statistics, theta) for theta in coefficients]
         with _timed(seconds, "fit_s"):
-            rows |= fit_rows(spec, night.date, statistics, modes, budget)
-            lag = lag_columns(statistics)
-            rows["fits"] = [row | lag for row in rows["fits"]]
+            rows |= fit_rows(spec, night.date, statistics, blocks, modes, residuals, budget)
             rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except EstimationError as error:
         status, reason, code = INSUFFICIENT_DATA, str(error), None
@@ -156,21 +151,16 @@ def clean_channels(
     too_long = means_too_long(file.channels)
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
-    rules: dict[str, ChannelRules] = {
-        name: ChannelRules.of(name, channel, cleaning, file.logs)
-        for name, channel in file.channels.items()
-        if name != RUNNING_HOURS
-    }
-    stamps = SharedStamps()
+    names = [name for name in file.channels if name != RUNNING_HOURS]
+    stamps, rests = SharedStamps(), NO_RESTS
+    cleaned: dict[str, CleanChannel] = {}
     # Each is taken out when it is its turn, the speed first: it says when the motor stood still.
-    speed = clean_channel(channels.pop("speed"), rules["speed"], night.start_us, stamps)
-    rests = Rests.of(speed, cleaning.standstill_rpm)
-    cleaned = {
-        name: speed
-        if name == "speed"
-        else clean_channel(channels.pop(name), rule, night.start_us, stamps, rests)
-        for name, rule in rules.items()
-    }
+    for name in sorted(names, key=lambda name: name != "speed"):
+        rules = ChannelRules.of(name, file.channels[name], cleaning, file.logs)
+        cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, stamps, rests)
+        if name == "speed":
+            rests = Rests.of(cleaned[name], cleaning.standstill_rpm)
+    cleaned = {name: cleaned[name] for name in names}
     counted = tuple(
         Quality(
             name,
@@ -193,9 +183,7 @@ def clean_channels(
 
 def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
     """Raise Insufficient if the motor stood still, or too few of its samples are kept."""
-    still = next(
-        q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
-    )
+    still = samples.n_logged - samples.n_turning
     # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
     if not samples.n_running and 2 * still > samples.n_logged:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
@@ -238,15 +226,6 @@ def require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
         INSUFFICIENT_DATA,
         f"no part of the night is good enough to fit ({causes} of the kept samples)",
     )
-
-
-def _sensor_ratio(motor: Motor, samples: Samples) -> SensorRatio | None:
-    """Return viscosity by the log over the data sheet's; None where it has none."""
-    ratio = sensor_ratio(motor.oil, samples)
-    if isinstance(ratio, str):
-        why = f"{ratio}; without this channel in the motor's file the data sheet holds"
-        raise Insufficient(INSUFFICIENT_DATA, why)
-    return ratio
 
 
 def _require_training(statistics: NightStatistics) -> None:

@@ -33,29 +33,18 @@ class Zero:
     standard_error: float | None  # from the scatter between halts; None for fewer than three
 
 
-@dataclass(frozen=True, slots=True)
-class Halts:
-    """The zeros of a night."""
-
-    n: int = 0  # depressurised, settled halts
-    # pressure_bar, flow_l_per_min: zero of the pressure difference and of the drain flow, the
-    # flushing included; None where there was no such halt, or it is not known to be one.
-    pressure_bar: Zero | None = None
-    flow_l_per_min: Zero | None = None
-
-
-def settled_halts(
+def zeros_of_halts(
     standstill: Mask,
     grid_us: Times,
     channels: Mapping[str, CleanChannel],
     settings: SensorHealth,
     case_bar: float = 0.0,
-) -> Halts:
-    """Return the zeros that a night's halts show; `case_bar` is the case pressure if not logged.
+) -> tuple[Zero | None, Zero | None]:
+    """Return the zeros of the pressure difference and of the drain flow, the flushing included.
 
-    Notes
-    -----
-    Samples refused as frozen count here: a sensor that has nothing to measure may well not move.
+    None where there was no such halt, or it is not known to be one. `case_bar` is the case pressure
+    if not logged. Samples refused as frozen count here: a sensor that has nothing to measure may
+    well not move.
     """
     sides = {"pressure_difference": 1.0}
     if "high_port_pressure" in channels:
@@ -78,7 +67,7 @@ def settled_halts(
             pressures.append(bar)
             if _is_relieved(channels, (begin, end), settings, case_bar):
                 flows.append(float(np.median(flow)))
-    return Halts(len(pressures), _zero(pressures), _zero(flows))
+    return _zero(pressures), _zero(flows)
 
 
 def _is_relieved(

@@ -1,4 +1,4 @@
-"""Masks of the samples that a rule refuses, by pure functions."""
+"""Masks of the samples that a rule refuses, and what readings say of themselves: pure functions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from pipeline.arrays import Mask, Times, Values
+from pipeline.arrays import SECOND_US, Mask, Times, Values
 
 # 1 / the standard normal's third quartile: the MAD of normal noise times this is its sd.
 MAD_TO_SD = 1.482602218505602
@@ -24,6 +24,14 @@ LATE_SHARE = 0.75
 ROUNDING = 1e-6
 # Nor is a distance in steps of the sensor by less than this share of one.
 STEP_ROUNDING = 0.01
+# cm³/µs -> l/min.
+CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0
+# A counter that falls has rolled over if it thereby counted less than this share of its range.
+ROLL_OVER_SHARE = 0.5
+# A change is a step of the sensor if this share of all pairs makes it, and so many at least.
+STEP_SHARE = 0.05
+FEWEST_STEPS = 3
+PAIRS_LOOKED_AT = 50_000
 
 
 def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -301,3 +309,59 @@ def transient(value: Values, present: Mask, period_s: float, limit_per_s: float)
     mask[1:] |= fast
     mask[:-1] |= fast
     return mask
+
+
+# A count may be infinite, and two of them further apart than float64 reaches.
+@np.errstate(over="ignore", invalid="ignore")
+def flow_from_counts(
+    time_us: Times,
+    count: Values,
+    longest_gap_us: float,
+    volume_per_count_cm3: float,
+    *,
+    is_total: bool,
+    rolls_over_at: float | None = None,
+) -> tuple[Times, Values, dict[str, Mask]]:
+    """Return the flow [l/min] of a counter of volume since each sample before, at the middle.
+
+    It counts since the sample before, or is a running total, which may begin at 0 again. Masks by
+    reason: samples without a known one before them, the first and those after a gap, and those at
+    which a total fell other than by rolling over. The flow is nan where it is not known.
+    """
+    steps = np.diff(time_us, prepend=time_us[:1])
+    fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)
+    unknown = steps > longest_gap_us
+    unknown[:1] = True
+    if is_total:
+        fresh = np.diff(count, prepend=np.nan)
+        if rolls_over_at is not None:
+            rolled = fresh + rolls_over_at
+            over = (fresh < 0) & (rolled >= 0) & (rolled < ROLL_OVER_SHARE * rolls_over_at)
+            fresh = np.where(over, rolled, fresh)
+        reset = ~unknown & (fresh < 0)
+        unknown |= np.isfinite(count) & np.isnan(fresh)
+    known = ~(unknown | reset)
+    flow = np.full(len(count), np.nan)
+    flow[known] = fresh[known] * volume_per_count_cm3 / steps[known]
+    middle = np.where(unknown, time_us, time_us - steps // 2)
+    masks = {"no_interval": unknown, "counter_reset": reset}
+    return middle, flow * CM3_PER_US_TO_L_PER_MIN, masks
+
+
+def step_of_readings(value: Values) -> float:
+    """Return the step in which readings visibly come; 0 where they do not.
+
+    Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
+    common enough to be a step of the sensor and not of what it measures.
+    """
+    apart = max(1, len(value) // PAIRS_LOOKED_AT)
+    pairs = np.abs(value[1::apart] - value[:-1:apart])
+    changes = pairs[pairs > 0]
+    if not len(changes):
+        return 0.0
+    # Rounded to six digits: a conversion of units leaves some noise on equal steps.
+    digits = 10.0 ** (np.floor(np.log10(changes)) - 5)
+    steps, counts = np.unique(np.round(changes / digits) * digits, return_counts=True)
+    commonest = int(np.argmax(counts))
+    is_a_step = counts[commonest] >= max(STEP_SHARE * len(pairs), FEWEST_STEPS)
+    return float(steps[commonest]) if is_a_step else 0.0

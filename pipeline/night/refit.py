@@ -16,27 +16,18 @@ import polars as pl
 from leakage import EstimationError, OperatingConditions
 from leakage.estimation.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import (
-    REFERENCE,
-    BlockFit,
-    conditions,
-    fit_stored_blocks,
-)
-from pipeline.night.fit import tolerances
+from pipeline.night.fit import REFERENCE, conditions, fit_stored_blocks, tolerances
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
-    Row,
     Rows,
-    agreement_columns,
-    block_fit_columns,
     coefficient_names,
-    leakage_columns,
+    fit_columns,
     of_fit,
+    parameter_rows,
     reference_columns,
 )
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
-from pipeline.schema import BLOCKS
+from pipeline.schema import BLOCKS, Row
 from pipeline.schema.fits import OK
 
 REFITTED_TABLES = ("nights", "fits", "parameters")
@@ -79,8 +70,9 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
             made = fit_stored_blocks(spec, night.label, mode, blocks, at, budget)
         except EstimationError:
             return None
-        row = _fits_row(spec, fits[mode], made, blocks) | {"is_primary": mode == primary}
-        rows["fits"].append(row)
+        # What needs samples is as before.
+        figures = fit_columns(spec, made, blocks) | {"is_primary": mode == primary}
+        rows["fits"].append(fits[mode] | figures)
         rows["parameters"] += [key | row for row in parameter_rows(spec, made)]
         rows["error_budget"] += [key | row for row in budget]
     if not is_elsewhere:
@@ -101,17 +93,6 @@ def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
     )
     made = refit(spec, PublishedNight(outcome.night, outcome.rows, blocks))
     return outcome if made is None else replace(outcome, rows={**outcome.rows, **made.rows})
-
-
-def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
-    """Return a row of `fits`; what needs samples is as before."""
-    return {
-        **before,
-        **block_fit_columns(found),
-        **leakage_columns(found),
-        **reference_columns(spec),
-        **agreement_columns(spec, found, blocks.factor_of),
-    }
 
 
 def _budget(

@@ -1,20 +1,20 @@
-"""Residual analysis of a night's fit, and what tables say of it."""
+"""What a night's samples say beside its fit: of its errors, and of the drain flow's lag."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from leakage.estimation.choices import ROUNDING
 from leakage.estimation.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.transport_lag import transport_lag
 from pipeline.arrays import Array, chosen_rows
 from pipeline.night.statistics import NightStatistics
-
-Row = dict[str, Any]
+from pipeline.schema import Row
+from pipeline.schema.fits import LAG_COLUMNS
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed")
 
@@ -78,3 +78,25 @@ def _columns_of(test: LagTest, period_s: float) -> Row:
 
 def _finite(values: Array) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
+    """Return columns of `fits` on the drain flow's lag in a night; null where it has none.
+
+    A drain line that is not full, and a meter that averages, delay the flow. It follows the model's
+    own columns, and of machines that the model lacks something of, speed and the root of the
+    pressure. Where a motor's first nights agree on a lag, all its nights are paired so.
+    """
+    samples = statistics.samples
+    drivers = np.column_stack(
+        [
+            statistics.unsmoothed[:, :-1],
+            np.abs(samples.speed_rpm),
+            np.sqrt(np.abs(samples.pressure_difference_bar)),
+        ]
+    )
+    lag = transport_lag(
+        samples.leakage_l_per_min, drivers, samples.index, samples.period_us / 1e6, samples.delay_s
+    )
+    found = (None, None) if lag is None else (lag.seconds, 100.0 * lag.gain)
+    return dict(zip(LAG_COLUMNS, found, strict=True))

@@ -1,32 +1,37 @@
-"""Rows of a night's fits, and of the tables below a fit."""
+"""Rows of a night's fits, and of the tables below a fit: how it went, and what it says."""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
-from leakage import Motor
-from leakage.estimation.identifiability import ONE_BLOCK, LeakageJudgement
+from leakage import Motor, regressors
+from leakage.estimation.block_statistics import with_free_known
+from leakage.estimation.identifiability import ONE_BLOCK, Judgement
+from leakage.estimation.residual_analysis import ResidualAnalysis
 from leakage.estimation.sample_blocks import TRAINING, VALIDATION
-from leakage.estimation.uncertainty import Interval
 from leakage.estimation.validation import agreement, criteria
+from leakage.physics.motor import path_flows_l_per_min
+from leakage.physics.paths import LeakagePath
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import REFERENCE, BlockFit, with_free_rollers
-from pipeline.night.parameter_rows import parameter_rows
-from pipeline.night.residuals import residual_columns, residual_test_rows
+from pipeline.night.fit import REFERENCE, BlockFit, scale_of
+from pipeline.night.residuals import lag_columns, residual_columns, residual_test_rows
 from pipeline.night.statistics import NightStatistics
-from pipeline.night.stored_blocks import CHANNELS
-from pipeline.schema import OF_NIGHT
+from pipeline.night.stored_blocks import CHANNELS, StoredBlocks
+from pipeline.schema import OF_NIGHT, Row
 
-Row = dict[str, Any]
 Rows = dict[str, list[Row]]
+
+MICROMETRE = 1e-6
+# A share is identified where it is known to this much of the whole, or to half of itself.
+WIDEST_SHARE = 0.02
+ROLLER_COLUMNS = ("roller_scale", "roller_scale_lower", "roller_scale_upper", "roller_verdict")
 
 
 def night_row(
@@ -63,17 +68,19 @@ def fit_rows(
     spec: MotorSpec,
     night: dt.date,
     statistics: NightStatistics,
+    blocks: StoredBlocks,
     modes: Sequence[BlockFit],
+    residuals: Sequence[Mapping[str, ResidualAnalysis]],
     budget: Sequence[Row],
 ) -> Rows:
     """Return rows of `fits` and of all tables below a fit, for all modes of flushing."""
-    samples = statistics.samples
+    samples, period_s = statistics.samples, statistics.samples.period_us / 1e6
     shared = {
         "window_start": utc(samples.time_us[0]),
         "window_end": utc(samples.time_us[-1]),
         "n_training": sum(block.n for block in statistics.blocks if block.part == TRAINING),
         "n_validation": sum(block.n for block in statistics.blocks if block.part == VALIDATION),
-        **reference_columns(spec),
+        **lag_columns(statistics),
     }
     motor_night = {"motor_id": spec.motor_id, "night": night}
     rows: Rows = {
@@ -82,14 +89,13 @@ def fit_rows(
         "error_budget": [motor_night | row for row in budget],
         "residual_tests": [],
     }
-    for mode in modes:
+    for mode, errors in zip(modes, residuals, strict=True):
         key = motor_night | {"flushing_mode": mode.name}
-        own = _mode_columns(spec, statistics, mode)
+        own = fit_columns(spec, mode, blocks) | residual_columns(errors, period_s)
         own |= {"is_primary": mode.name == spec.file.flushing.mode}
         rows["fits"].append(shared | key | own)
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
-        tests = residual_test_rows(mode.residuals, samples.period_us / 1e6)
-        rows["residual_tests"] += [key | row for row in tests]
+        rows["residual_tests"] += [key | row for row in residual_test_rows(errors, period_s)]
     return rows
 
 
@@ -105,54 +111,43 @@ def reference_columns(spec: MotorSpec) -> Row:
     return {f"reference_{name}": getattr(spec.settings.reference, name) for name in CHANNELS}
 
 
-def _mode_columns(
-    spec: MotorSpec,
-    statistics: NightStatistics,
-    mode: BlockFit,
-) -> Row:
-    """Return the figures of one fit."""
+def fit_columns(spec: MotorSpec, mode: BlockFit, blocks: StoredBlocks) -> Row:
+    """Return columns of `fits` that are computed from blocks."""
+    fit, proven_minimum = mode.fit, mode.fit.proven_minimum
+    condition, misfit = proven_minimum.condition_number, mode.stated.misfit
     return {
-        **agreement_columns(spec, mode, statistics.factor_of),
-        **block_fit_columns(mode),
-        **residual_columns(mode.residuals, statistics.samples.period_us / 1e6),
-        **leakage_columns(mode),
-    }
-
-
-def agreement_columns(spec: MotorSpec, mode: BlockFit, factor_of: Callable[[str], Array]) -> Row:
-    """Return how the training fit agrees with training and validation samples, and its criteria.
-
-    `factor_of` gives the factor of a part's samples, in the columns of the model as stated.
-    """
-    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
-    found = {
-        part: agreement(
-            with_free_rollers(spec, mode.stated.fit.motor, factor_of(part)), theta, resolution
-        )
-        for part in (TRAINING, VALIDATION)
-    }
-    row: Row = {
-        f"{part}_{name}": getattr(of_part, name)
-        for part, of_part in found.items()
-        for name in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min")
-    }
-    training = found[TRAINING]
-    cost = (training.rmse_l_per_min or 0.0) ** 2
-    return row | asdict(criteria(cost, mode.training.n_estimated, training.n))
-
-
-def block_fit_columns(mode: BlockFit) -> Row:
-    """Return columns of a fit that are computed from its blocks."""
-    proven_minimum, fit = mode.fit.proven_minimum, mode.fit
-    condition = proven_minimum.condition_number
-    return {
+        **reference_columns(spec),
+        **_agreement_columns(spec, mode, blocks),
         "cost": proven_minimum.cost,
         "rank": proven_minimum.rank,
         "condition_number": condition if np.isfinite(condition) else None,
         "coefficient_names": coefficient_names(fit.motor),
         "coefficients": fit.coefficients.tolist(),
         "interval_status": _interval_status(mode),
+        **_leakage_columns(mode),
+        "model_misfit_percent": misfit and 100.0 * misfit.share,
+        "model_noise_percent": misfit and 100.0 * misfit.noise_share,
+        **_roller_columns(mode),
     }
+
+
+def _agreement_columns(spec: MotorSpec, mode: BlockFit, blocks: StoredBlocks) -> Row:
+    """Return how the training fit agrees with training and validation samples, and its criteria."""
+    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
+    motor, of_parts = mode.stated.fit.motor, {}
+    for part in (TRAINING, VALIDATION):
+        factor = blocks.factor_of(part)
+        if spec.roller_is_free and motor.standard is not None:
+            factor = with_free_known(factor[None], *scale_of(motor))[0]
+        of_parts[part] = agreement(factor, theta, resolution)
+    row: Row = {
+        f"{part}_{name}": getattr(of_part, name)
+        for part, of_part in of_parts.items()
+        for name in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min")
+    }
+    training = of_parts[TRAINING]
+    cost = (training.rmse_l_per_min or 0.0) ** 2
+    return row | asdict(criteria(cost, mode.training.n_estimated, training.n))
 
 
 def coefficient_names(motor: Motor) -> list[str]:
@@ -162,12 +157,12 @@ def coefficient_names(motor: Motor) -> list[str]:
 
 def _interval_status(mode: BlockFit) -> str:
     """Return ``ok``, how long slow errors remember, or why there are no intervals."""
-    found = mode.identification
-    if found.distribution is None and not mode.fit.proven_minimum.fixed.all():
+    identification = mode.identification
+    if identification.distribution is None and not mode.fit.proven_minimum.fixed.all():
         return ONE_BLOCK
-    if not found.slow.are_slow:
+    if not identification.slow.are_slow:
         return "ok"
-    memory_s = found.slow.memory_s(mode.block_s)
+    memory_s = identification.slow.memory_s(mode.block_s)
     minutes = memory_s / 60.0
     time = f"about {minutes:.0f} minutes" if minutes < 120 else f"about {minutes / 60:.0f} hours"
     if memory_s >= mode.duration_s:
@@ -175,49 +170,141 @@ def _interval_status(mode: BlockFit) -> str:
     return f"ok: the errors remember for {time}; the intervals allow for it"
 
 
-def leakage_columns(mode: BlockFit) -> Row:
-    """Leakage at the reference conditions by the night alone, where it is determined; misfit."""
-    misfit, found = mode.stated.misfit, mode.reference
-    return {
-        "fitted_leakage_verdict": found.verdict,
-        "fitted_leakage_reason": found.reason or None,
-        **_leakage(found, mode),
-        "model_misfit_percent": misfit and 100.0 * misfit.share,
-        "model_noise_percent": misfit and 100.0 * misfit.noise_share,
-        **_roller_columns(mode),
+def _leakage_columns(mode: BlockFit) -> Row:
+    """Leakage at the reference conditions by the night alone, where it is determined."""
+    reference, parts = mode.reference, mode.errors[REFERENCE]
+    value, interval = reference.leakage_l_per_min, reference.interval
+    figures: Row = {
+        "l_per_min": value,
+        "lower": None if interval is None else value - interval.half_width,
+        "upper": None if interval is None else value + interval.half_width,
+        "statistical_l_per_min": parts.statistical,
+        "sensor_l_per_min": parts.sensor,
+        "model_l_per_min": parts.model,
+        "total_l_per_min": parts.total,
     }
-
-
-def _leakage(found: LeakageJudgement, mode: BlockFit) -> Row:
-    name, parts = "fitted_leakage", mode.errors[REFERENCE]
-    value, interval = found.leakage_l_per_min, found.interval
-    row: Row = {
-        f"{name}_l_per_min": value,
-        **_ends(name, value, interval),
-        f"{name}_statistical_l_per_min": parts.statistical,
-        f"{name}_sensor_l_per_min": parts.sensor,
-        f"{name}_model_l_per_min": parts.model,
-        f"{name}_total_l_per_min": parts.total,
-    }
-    return row if found.has_value else dict.fromkeys(row)
-
-
-def _ends(name: str, value: float, interval: Interval | None) -> Row:
-    if interval is None:
-        return {f"{name}_lower": None, f"{name}_upper": None}
-    half_width = interval.half_width
-    return {f"{name}_lower": value - half_width, f"{name}_upper": value + half_width}
+    if not reference.has_value:
+        figures = dict.fromkeys(figures)
+    words = {"verdict": reference.verdict, "reason": reference.reason or None}
+    return {f"{REFERENCE}_{name}": figure for name, figure in (words | figures).items()}
 
 
 def _roller_columns(mode: BlockFit) -> Row:
     """Return scale of the rollers' curve as the night shows it, whether or not the fit uses it."""
-    roller = mode.roller
-    if roller is None:
-        return dict.fromkeys(
-            ("roller_scale", "roller_scale_lower", "roller_scale_upper", "roller_verdict")
-        )
-    return {
-        "roller_scale": roller.value,
-        **_ends("roller_scale", roller.value, roller.judgement.interval),
-        "roller_verdict": roller.judgement.verdict,
+    row: Row = dict.fromkeys(ROLLER_COLUMNS)
+    if mode.roller is not None:
+        value, judgement = mode.roller
+        row |= {"roller_scale": value, "roller_verdict": judgement.verdict}
+        if judgement.interval is not None:
+            row["roller_scale_lower"] = value - judgement.interval.half_width
+            row["roller_scale_upper"] = value + judgement.interval.half_width
+    return row
+
+
+def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
+    """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
+    motor = mode.fit.motor
+    places = {path.name: place for place, path in enumerate(motor.coefficient_paths) if path}
+    rows: list[Row] = []
+    for path in motor.paths:
+        row = _coefficient_row(mode, path, places.get(path.name))
+        if path is motor.standard:
+            row["reason"] = _why_fixed(mode)
+        rows += [row, *_derived_rows(spec, path, row)]
+    return rows + _share_rows(mode)
+
+
+def _why_fixed(mode: BlockFit) -> str:
+    """Return reason why the scale of the rollers' curve is held as configured."""
+    if mode.roller is not None and mode.roller[1].reason:
+        return f"configured, as speed varies too little: {mode.roller[1].reason}"
+    return "configured, as most of a baseline's first nights do not identify it yet"
+
+
+def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:
+    """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
+    if place is None:
+        value, judgement = path.configured_coefficient, Judgement("fixed", "configured", None)
+    else:
+        value = float(mode.fit.coefficients[place])
+        judgement = mode.identification.coefficients[place]
+    row: Row = {
+        "parameter": path.coefficient_name,
+        "unit": path.coefficient_unit,
+        "value": value,
+        "verdict": judgement.verdict,
+        "reason": judgement.reason or None,
     }
+    if judgement.verdict != "fixed" and judgement.interval is not None:
+        row |= _interval(value, judgement.interval.half_width)
+        row["systematic"] = mode.systematic.get(path.coefficient_name)
+    return row
+
+
+def _interval(value: float, half_width: float) -> Row:
+    return {"lower": value - half_width, "upper": value + half_width}
+
+
+def _derived_rows(spec: MotorSpec, path: LeakagePath, coefficient: Row) -> list[Row]:
+    """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
+    first, second = spec.motor_type.surface_roughness_um
+    limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None
+    rows: list[Row] = []
+    for figure in path.derived_figures(
+        coefficient["value"], limits, (first * MICROMETRE, second * MICROMETRE)
+    ):
+        row: Row = {
+            "parameter": figure.name,
+            "value": figure.lowest if figure.lowest == figure.highest else None,
+            "unit": figure.unit,
+            "feasible_min": figure.lowest,
+            "feasible_max": figure.highest,
+            "verdict": coefficient["verdict"],
+            "reason": coefficient["reason"],
+        }
+        if figure.combination and coefficient["verdict"] != "fixed":
+            row["verdict"] = "only_in_combination"
+            row["reason"] = f"only {figure.combination} shows in the data"
+        if figure.limits is not None:
+            row["lower"], row["upper"] = figure.limits
+        rows.append(row)
+    return rows
+
+
+def _share_rows(mode: BlockFit) -> list[Row]:
+    """Return share of each path in the reference leakage, where the data determine it.
+
+    With L = Σ K_i φ_i + known, K within bounds, the share Q_j / L has the gradient
+    φ_i (δ_ij L − Q_j) / L².
+    """
+    reference, motor, at = mode.reference, mode.fit.motor, mode.reference_conditions
+    names = [path.name for path in motor.paths if path is not motor.constant]
+    rows: list[Row] = [{"parameter": f"share_{name}", "unit": "1", "value": None} for name in names]
+    if not reference.has_value:
+        return [row | {"verdict": reference.verdict, "reason": reference.reason} for row in rows]
+    flows = path_flows_l_per_min(motor, at, mode.fit.coefficients_by_path)
+    total = sum(float(flow[0]) for flow in flows.values())
+    slopes = np.append(regressors(motor, at)[0, :-2], 0.0)
+    places = {path.name: place for place, path in enumerate(motor.column_paths)}
+    for name, row in zip(names, rows, strict=True):
+        flow = float(flows[name][0])
+        gradient = -slopes * flow / total**2
+        if name in places:
+            gradient[places[name]] += slopes[places[name]] / total
+        row |= _share(mode, flow / total, gradient)
+    return rows
+
+
+def _share(mode: BlockFit, share: float, gradient: Array) -> Row:
+    """Return value and verdict of a share, from its gradient."""
+    if mode.reference.verdict == "fixed":
+        return {"value": share, "verdict": "fixed", "reason": mode.reference.reason}
+    distribution = mode.identification.distribution
+    interval = None if distribution is None else distribution.interval(gradient)
+    if interval is None:
+        reason = "the samples do not span it"
+        return {"value": share, "verdict": "not_identified", "reason": reason}
+    if interval.half_width > max(WIDEST_SHARE, share / 2):
+        reason = f"known to ± {100 * interval.half_width:.0f} % of the leakage only"
+        return {"verdict": "not_identified", "reason": reason}
+    return {"value": share, "verdict": "identified"} | _interval(share, interval.half_width)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
 from itertools import pairwise, repeat
 from typing import Any
 
@@ -15,16 +14,14 @@ from leakage import Motor
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
+from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel
-from pipeline.night.block_fit import BlockFit
-from pipeline.night.statistics import NightStatistics, charge_over_case_bar
+from pipeline.night.fit import BlockFit
+from pipeline.night.statistics import NightStatistics, SensorRatio, charge_over_case_bar
 from pipeline.night.time_base import Quality, Samples
-from pipeline.night.viscosity import SensorRatio
-from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
+from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C, Row
 from pipeline.thinning import keep_extremes
-
-Row = dict[str, Any]
 
 HOUR_US = 3_600_000_000
 # Standard errors from the middle of a 95 % interval to its ends.
@@ -41,8 +38,8 @@ def data_columns(night: Night, samples: Samples, counter: RawChannel | None) -> 
         hours = (night.end_us - night.start_us) / HOUR_US
         row["running_hours"] = samples.n_turning / samples.n_logged * hours
     for name, unit, zero in (
-        ("pressure_zero", "bar", samples.halts.pressure_bar),
-        ("flow_zero", "l_per_min", samples.halts.flow_l_per_min),
+        ("pressure_zero", "bar", samples.pressure_zero),
+        ("flow_zero", "l_per_min", samples.flow_zero),
     ):
         if zero is not None:
             row[f"{name}_{unit}"] = zero.value
@@ -84,16 +81,8 @@ def conditions(samples: Samples) -> Row:
 
 def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     """Return samples in each bin; the end bins hold all beyond."""
-    n = len(values)
-    # Comparing with the few edges between the values is quicker than a search for each value.
-    lowest, highest = values.min(), values.max()
-    beyond = [
-        int(np.count_nonzero(values >= edge))
-        if lowest < edge <= highest
-        else n * bool(edge <= lowest)
-        for edge in edges[1:-1]
-    ]
-    return [more - fewer for more, fewer in pairwise([n, *beyond, 0])]
+    below = np.searchsorted(np.sort(values), edges[1:-1]).tolist()
+    return [after - before for before, after in pairwise([0, *below, len(values)])]
 
 
 Columns = dict[str, Sequence[Any]]
@@ -105,8 +94,7 @@ PREDICTION_POINTS = 720
 def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
     """Return rows of `quality`: every rule that was applied, those that refused nothing too."""
     own = {"motor_id": motor_id, "night": night}
-    names = [field.name for field in fields(Quality)]
-    return [own | {name: getattr(rule, name) for name in names} for rule in found]
+    return [own | rule._asdict() for rule in found]
 
 
 def block_rows(
@@ -150,7 +138,7 @@ def block_rows(
         "motor_id": spec.motor_id,
         "night": night,
         "factor_columns": list(motor.columns),
-        "model_hash": statistics.model_hash,
+        "model_hash": model_hash(spec, motor, night),
     }
     return _rows(columns, shared)
 

@@ -1,22 +1,37 @@
-"""From a night's kept samples to the statistics of the blocks of its good parts, and their hash."""
+"""From a night's kept samples to the statistics of the blocks of its good parts.
+
+Every path's flow is proportional to 1/η, so a measured viscosity, by a sensor in the log or by
+analyses of the oil, scales the columns of a block by one factor. Blocks are stored with the data
+sheet's oil and scaled where they are used: an analysis that is entered late needs no log.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.sample_blocks import CompressedSamples, compress, split_into_blocks
+from leakage.physics.oil import Oil, density_kg_per_m3
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.config.settings import Model
-from pipeline.night.time_base import Samples
-from pipeline.night.viscosity import driven
+from pipeline.night.time_base import VISCOSITIES, Insufficient, Samples
+from pipeline.schema.fits import INSUFFICIENT_DATA
+
+# Share of the kept samples that need a credible viscosity.
+LEAST_SHARE = 0.1
+# Standard deviation of the temperature below which no change with it is estimated [K].
+LEAST_SPREAD_K = 1.0
+# A sensor further from the data sheet, by this factor, does not measure this oil.
+FURTHEST = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,24 +40,15 @@ class NightStatistics(CompressedSamples):
 
     samples: Samples  # the kept samples
     conditions: OperatingConditions  # what drives their leakage, shape (n,)
-    model_hash: str  # hash of all that shaped them
-    # Measured viscosity over the data sheet's by block; None where it is the data sheet's.
-    viscosity_ratios: Array | None = None
 
     def with_viscosity(self, ratios: Array | None, columns: Sequence[str]) -> NightStatistics:
-        """Return the same with the oil as measured, by block; None: as on its data sheet."""
+        """Return the samples with the oil as measured, by block; None: as on its data sheet."""
         if ratios is None:
             return self
-        scale = np.where(driven(columns), 1.0 / ratios[:, None], 1.0)
-        of_samples = np.repeat(scale, [block.n for block in self.blocks], axis=0)
-        z = self.z * of_samples
-        return replace(
-            self,
-            z=z,
-            unsmoothed=z if self.unsmoothed is self.z else self.unsmoothed * of_samples,
-            factors=self.factors * scale[:, None, :],
-            viscosity_ratios=ratios,
-        )
+        scale = np.repeat(driven(columns, ratios), [block.n for block in self.blocks], axis=0)
+        z = self.z * scale
+        unsmoothed = z if self.unsmoothed is self.z else self.unsmoothed * scale
+        return replace(self, z=z, unsmoothed=unsmoothed)
 
     def parts_of(self, rows: NDArray[np.int64]) -> list[str]:
         """Return part of some of the kept samples."""
@@ -76,7 +82,6 @@ def night_statistics(
         **{field.name: getattr(made, field.name) for field in fields(made)},
         samples=samples,
         conditions=conditions,
-        model_hash=model_hash(spec, motor, night.date),
     )
 
 
@@ -103,3 +108,57 @@ def charge_over_case_bar(model: Model, samples: Samples) -> Array:
     case = logged.get("case_pressure", np.full(len(samples.index), model.case_pressure_bar))
     difference: Array = np.maximum(charge - case, 0.0)
     return difference
+
+
+class SensorRatio(NamedTuple):
+    """Logged viscosity over the data sheet's in a night: its median, and its change with heat."""
+
+    log_median: float
+    per_kelvin: float
+    median_c: float
+
+    def at(self, temperature_c: float) -> float:
+        """Return the ratio at a temperature."""
+        return math.exp(self.log_median + self.per_kelvin * (temperature_c - self.median_c))
+
+
+def sensor_ratio(oil: Oil, samples: Samples) -> SensorRatio | None:
+    """Return logged viscosity over the data sheet's; None where no channel has it.
+
+    The change with temperature is that of least squares, drawn to 0 where the night's temperatures
+    hardly differ. Raises Insufficient where the channel cannot tell it.
+    """
+    for name in VISCOSITIES:
+        if name not in samples.viscosities:
+            continue
+        value, celsius = samples.viscosities[name], samples.oil_temperature_c
+        known = np.isfinite(value)
+        if known.mean() < LEAST_SHARE:
+            share = f"{100 * known.mean():.0f} %"
+            raise _without_viscosity(f"{name} is credible in only {share} of the kept samples")
+        value, celsius = value[known], celsius[known]
+        if name == "dynamic_viscosity":
+            value = 1000.0 * value / density_kg_per_m3(celsius, oil)
+        sheet = kinematic_viscosity_mm2_per_s(celsius, oil.walther_a, oil.walther_b)
+        log, middle = np.log(value / sheet), float(np.median(celsius))
+        median = float(np.median(log))
+        if abs(median) > math.log(FURTHEST):
+            factor = f"{math.exp(median):.3g} times that of {oil.name}"
+            raise _without_viscosity(f"{name} is {factor}: another unit, oil or place")
+        slope = np.cov(log, celsius, bias=True)[0, 1] / (np.var(celsius) + LEAST_SPREAD_K**2)
+        return SensorRatio(median, float(slope), middle)
+    return None
+
+
+def _without_viscosity(why: str) -> Insufficient:
+    how = "without this channel in the motor's file the data sheet holds"
+    return Insufficient(INSUFFICIENT_DATA, f"{why}; {how}")
+
+
+def driven(columns: Sequence[str], ratios: Array) -> Array:
+    """Return factors on the columns of blocks whose oil was measured, shape (b, c).
+
+    `ratios` are measured viscosities over the data sheet's, shape (b,).
+    """
+    is_driven = np.array([name not in ("one", "measured") for name in columns])
+    return np.where(is_driven, 1.0 / ratios[:, None], 1.0)

@@ -14,9 +14,10 @@ from leakage.estimation.block_fit import SampleBlocks
 from leakage.estimation.block_statistics import merge
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sample_blocks import TRAINING, places_on_clock
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
-from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
+from pipeline.night.statistics import driven
 from pipeline.schema import BLOCKS, staged_table
 
 CHANNELS = ("pressure_bar", "temperature_c", "speed_rpm")
@@ -75,9 +76,9 @@ class StoredBlocks:
         if rows.height:
             by_sensor = rows["viscosity_ratio"].cast(pl.Float64).to_numpy()
             celsius = rows["mean_temperature_c"].to_numpy()
-            ratios = viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
+            ratios = _viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
         if ratios is not None:
-            factors = factors * np.where(driven(columns), 1.0 / ratios[:, None], 1.0)[:, None]
+            factors = factors * driven(columns, ratios)[:, None]
         return cls(rows, factors, ratios)
 
     def factor_of(self, part: str) -> Array:
@@ -100,12 +101,16 @@ class StoredBlocks:
     @property
     def viscosity_ratio(self) -> float | None:
         """Mean of the measured viscosity over the data sheet's; None where that holds."""
-        return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
+        ratios = self.viscosity_ratios
+        return (
+            None if ratios is None else float(np.average(ratios, weights=self.rows["n"].to_numpy()))
+        )
 
     @property
     def charge_bar(self) -> float | None:
         """Mean charge above case pressure; None in a model of one side."""
-        return self._mean("mean_charge_over_case_bar")
+        name = "mean_charge_over_case_bar"
+        return None if self.rows[name].null_count() else self._mean(name)
 
     @property
     def duration_s(self) -> float:
@@ -128,14 +133,25 @@ class StoredBlocks:
     def means(self) -> tuple[float, float, float]:
         """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""
         pressure, temperature, speed = (self._mean(f"mean_{name}") for name in CHANNELS)
-        assert pressure is not None
-        assert temperature is not None
-        assert speed is not None
         return pressure, temperature, speed
 
-    def _mean(self, name: str) -> float | None:
-        """Return mean of a column over the samples; None where it has none."""
-        values = self.rows[name]
-        if values.null_count():
-            return None
-        return float(np.average(values.to_numpy(), weights=self.rows["n"].cast(pl.Float64)))
+    def _mean(self, name: str) -> float:
+        """Return mean of a column over the samples."""
+        weights = self.rows["n"].cast(pl.Float64)
+        return float(np.average(self.rows[name].to_numpy(), weights=weights))
+
+
+def _viscosity_ratios(
+    spec: MotorSpec, night: dt.date, temperature_c: Array, by_sensor: Array
+) -> Array | None:
+    """Measured viscosity over the data sheet's of a night's blocks, shape (b,); None: not measured.
+
+    `temperature_c` is each block's mean; `by_sensor` is nan where no sensor measured.
+    """
+    curve = spec.measured_curve(night)
+    if curve is None:
+        return by_sensor if np.isfinite(by_sensor).any() else None
+    oil = spec.oil_on(night).oil()
+    sheet = kinematic_viscosity_mm2_per_s(temperature_c, oil.walther_a, oil.walther_b)
+    by_analyses = kinematic_viscosity_mm2_per_s(temperature_c, *curve) / sheet
+    return np.where(np.isfinite(by_sensor), by_sensor, by_analyses)

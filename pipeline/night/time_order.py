@@ -1,4 +1,4 @@
-"""Cells of a channel in the order of time, which of them are samples, and how regular they are.
+"""Cells of a channel in the order of time, and how regular they are.
 
 A sample written late has the right stamp in the wrong row; a clock that was set back has the wrong
 stamp. The two are distinguished by whether the stamp falls into a free place among the others.
@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times
-from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import NO_BORDERS, missing_sample, steps_where
+from pipeline.night.masks import NO_BORDERS, steps_where
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.
@@ -219,40 +217,3 @@ def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[
     earlier_us = np.where(before < 0, np.inf, stamps - ordered[np.maximum(before, 0)])
     later_us = np.where(after > last, np.inf, ordered[np.minimum(after, last)] - stamps)
     return np.where(after - before > 1 + own, 0.0, np.minimum(earlier_us, later_us))
-
-
-def corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
-    """Return samples at the times at which they hold."""
-    if not rules.sampling.shift_us:
-        return raw
-    return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
-
-
-def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) -> RawChannel:
-    """Return cells in order without the blank ones that are no sample."""
-    if rules.sampling.on_change:
-        samples = _says_something(cells, rules)
-    elif cells.missing.any():
-        row_us = Steps.of(cells.time_us).period_us
-        samples = ~cells.missing
-        samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
-    else:
-        return cells
-    return cells if samples.all() else cells.rows(samples)
-
-
-def _says_something(cells: RawChannel, rules: ChannelRules) -> Mask:
-    """Return cells of an on-change channel that hold a value, or say that there is none."""
-    if rules.has_rows_of_its_own:
-        return np.ones(len(cells.time_us), dtype=np.bool_)
-    says: Mask = ~cells.missing
-    return says if cells.bad_quality is None else says | cells.bad_quality
-
-
-def carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) -> RawChannel:
-    """The last sample of an on-change channel before the night, if it may hold into it; or none."""
-    says = _says_something(early, rules) & (early.time_us >= earliest_us)
-    rows = np.flatnonzero(says) if rules.sampling.on_change else np.empty(0, np.intp)
-    # Of two at one time the first one counts, as within the night.
-    last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
-    return corrected(early.rows(last), rules)

@@ -24,9 +24,9 @@ from pipeline.ingest import RawChannel
 from pipeline.logs.files import reaches_us, slice_night
 from pipeline.logs.motor_logs import MotorLogs
 from pipeline.night.fit import tolerances
-from pipeline.night.fit_night import Insufficient, choose_parts, clean_channels
+from pipeline.night.fit_night import choose_parts, clean_channels
 from pipeline.night.statistics import charge_over_case_bar
-from pipeline.night.time_base import Samples
+from pipeline.night.time_base import Insufficient, Samples
 from pipeline.schema import QUALITY, TIMESTAMP
 from pipeline.units import canonical_unit
 

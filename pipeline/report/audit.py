@@ -19,7 +19,7 @@ from leakage.estimation.block_statistics import merge, with_free_known
 from leakage.estimation.multi_start import Search, coefficients_at, free_parameters, search
 from pipeline.arrays import Array
 from pipeline.config import Fleet, MotorSpec
-from pipeline.night.block_fit import scale_of
+from pipeline.night.fit import scale_of
 from pipeline.night.rows import coefficient_names
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCKS, FITS

@@ -33,11 +33,20 @@ from pipeline.night.column_change import (
 )
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.refit import FROM_TABLES, PublishedNight, refit, refit_read
-from pipeline.night.rows import Row
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.run.night_plan import NO_LOG, NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
-from pipeline.schema import BLOCKS, FITS, LOG_FILES, NIGHT_TABLES, NIGHTS, OF_NIGHT, QUALITY, Table
+from pipeline.schema import (
+    BLOCKS,
+    FITS,
+    LOG_FILES,
+    NIGHT_TABLES,
+    NIGHTS,
+    OF_NIGHT,
+    QUALITY,
+    Row,
+    Table,
+)
 from pipeline.schema.fits import (
     FAILED,
     LAG_COLUMNS,

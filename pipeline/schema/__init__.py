@@ -20,6 +20,9 @@ import pyarrow as pa
 
 SCHEMA_VERSION = 1
 
+Row = dict[str, Any]
+"""A row of a table."""
+
 Type = pl.DataType | type[pl.DataType]
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)

@@ -21,8 +21,7 @@ from pipeline.logs.files import change_of, failed, labels_of, spanned, stat_log
 from pipeline.logs.locations import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import Rests, clean_channel
+from pipeline.night.cleaning import ChannelRules, Rests, clean_channel
 from pipeline.schema.fits import DECIDING_NIGHTS, OK, agreed_lag
 from pipeline.setup.column_check import (
     Dated,

@@ -13,8 +13,8 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES, Insufficient, clean_channels
-from pipeline.night.time_base import Samples
+from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES, clean_channels
+from pipeline.night.time_base import Insufficient, Samples
 
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.

@@ -112,7 +112,7 @@ def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = No
     if nights is None:
         months = _listed(table_folder(output, table))
         return sorted(path for month in months for path in _listed(month) if is_named_as_ours(path))
-    labels = {label for night in nights for label in (f"{night:%Y-%m}", str(night))}
+    labels = {label_of(table, night) for night in nights}
     paths = (labelled_file(output, table, label) for label in sorted(labels))
     return [path for path in paths if path.exists()]
 

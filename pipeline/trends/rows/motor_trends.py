@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 
 from leakage.watch import Watch
-from pipeline.night.rows import Row, night_row
-from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Table
+from pipeline.night.rows import night_row
+from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Row, Table
 from pipeline.schema.fits import NO_NEW_DATA
 from pipeline.trends.nights.decisions import LEAKAGE, is_withdrawn
 from pipeline.trends.nights.history import OTHER_SETTINGS, periods_of

@@ -9,8 +9,7 @@ import pytest
 
 from pipeline.config import ConfigError, MotorSpec
 from pipeline.ingest import read_log
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import clean_channel
+from pipeline.night.cleaning import ChannelRules, clean_channel
 from tests.pipeline.simulated import load_motor, motor_toml, operate, write_log
 
 STATED = """

@@ -14,10 +14,8 @@ import pytest
 
 from pipeline.config import Channel, Cleaning, Settings, TimeBase, load_fleet
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.resampling import on_grid
-from pipeline.night.time_base import Samples, bring_together
+from pipeline.night.cleaning import ChannelRules, CleanChannel, clean_channel
+from pipeline.night.time_base import Samples, bring_together, on_grid
 from tests.pipeline.simulated import (
     NIGHT,
     SECOND_US,

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pipeline.config import Channel, Cleaning
 from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.cleaning import ChannelRules, CleanChannel, clean_channel
 from pipeline.night.masks import NO_BORDERS
 from pipeline.night.time_order import Steps
 from tests.pipeline.simulated import CANONICAL
@@ -85,6 +84,7 @@ def cleaned(
         steps=steps,
         longest_gap_us=longest_gap_us,
         gaps=steps.longer_than(longest_gap_us, times),
+        rules=RULES,
         counts={},
         n_samples=n,
     )

@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 
 from pipeline.config import Channel, Cleaning
 from pipeline.ingest import RawChannel
-from pipeline.night import cleaning
-from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.cleaning import Course, clean_channel
+from pipeline.night.cleaning import ChannelRules, clean_channel
 from pipeline.night.masks import (
     STEP_ROUNDING,
     at_maximum,
     frozen,
     near,
-    out_of_range,
     spike,
     transient,
 )
@@ -54,33 +51,6 @@ def in_wide_log(rows: NDArray[np.int64], n: int, rate_hz: float = 10.0) -> RawCh
     return raw(stamps(n, rate_hz), value, blank)
 
 
-@given(st.lists(st.tuples(st.sampled_from([1, 2, 5, 6, 20]), st.booleans()), max_size=60))
-def test_rules_see_a_gap_wherever_credible_samples_are_far_apart(
-    steps_and_good: list[tuple[int, bool]],
-) -> None:
-    """By silence, by samples that are out of range, or by both: more than half a second."""
-    seen: list[Course] = []
-
-    def rule(course: Course) -> NDArray[np.bool_]:
-        seen.append(course)
-        return np.zeros(len(course.value), np.bool_)
-
-    steps, good = [step for step, _ in steps_and_good], [one for _, one in steps_and_good]
-    time_us = np.cumsum(np.array(steps, np.int64)) * SECOND // 10
-    value = np.where(good, lively(len(good)), 500.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cleaning, "CHANNEL_RULES", {"probe": rule})
-        clean_channel(raw(time_us, value), replace(RULES, longest_gap_s=0.5))
-    (course,) = seen
-    credible = time_us[good]
-    np.testing.assert_array_equal(course.time_us, credible)
-    assert course.borders.tolist() == [
-        place
-        for place in range(1, len(credible))
-        if credible[place] - credible[place - 1] > SECOND // 2
-    ]
-
-
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_channel_of_few_samples(n: int) -> None:
     cleaned = clean_channel(raw(stamps(n), lively(n)), RULES)
@@ -92,11 +62,18 @@ def test_channel_of_few_samples(n: int) -> None:
     assert refused_by(constant) == {}
 
 
-def test_typical_period_is_a_median() -> None:
-    assert Steps.of(np.array([0, 10, 20, 5000, 5010])).period_us == 10.0
-    assert Steps.of(np.array([0, 1, 3, 6, 10])).period_us == 2.5  # of 1, 2, 3, 4: none is of most
-    assert Steps.of(np.array([0, 4, 8, 11, 14])).period_us == 3.5  # two of four are not most
-    assert Steps.of(np.array([7])).period_us is None
+@pytest.mark.parametrize(
+    ("time_us", "period_us"),
+    # Of 1, 2, 3, 4 none is of most; two of four are not most.
+    [
+        ([0, 10, 20, 5000, 5010], 10.0),
+        ([0, 1, 3, 6, 10], 2.5),
+        ([0, 4, 8, 11, 14], 3.5),
+        ([7], None),
+    ],
+)
+def test_typical_period_is_a_median(time_us: list[int], period_us: float | None) -> None:
+    assert Steps.of(np.array(time_us)).period_us == period_us
 
 
 @given(
@@ -111,36 +88,36 @@ def test_long_steps_are_those_beyond_a_limit_however_regular_the_others(
     assert Steps.of(time_us).longer_than(limit_us, time_us).tolist() == expected
 
 
-@pytest.mark.parametrize("first", range(10))
-def test_each_sample_left_out_of_a_wide_log_is_missing_once(first: int) -> None:
-    rows = np.delete(np.arange(first, 6000, 10), [5, 100, 101, 102])
-    cleaned = clean_channel(in_wide_log(rows, 6000), RULES)
-    assert refused_by(cleaned) == {"missing": 4, "any": 4}
-    assert cleaned.n_samples == 600
-    lost = cleaned.time_us[cleaned.refused]
-    np.testing.assert_array_equal(lost, (np.array([5, 100, 101, 102]) * 10 + first) * 100_000)
+EVERY_TENTH = np.arange(0, 6000, 10)
+LEFT_OUT = [5, 100, 101, 102]
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.2, 0.5, 0.7])
-@pytest.mark.parametrize("ratio", [2.0, 2.5, 3.3, 4.0, 6.7])
-def test_a_rate_that_is_no_whole_part_of_the_rows_misses_none(ratio: float, phase: float) -> None:
-    rows = np.ceil(np.arange(400) * ratio + phase).astype(np.int64)
-    assert refused_by(clean_channel(in_wide_log(rows, rows[-1] + 1), RULES)) == {}
-
-
-@given(st.sets(st.integers(1, 198), max_size=60))
-def test_fast_channel_misses_every_blank(lost: set[int]) -> None:
-    rows = np.array(sorted(set(range(200)) - lost))
-    cleaned = clean_channel(in_wide_log(rows, 200), RULES)
-    assert cleaned.counts["missing"] == len(lost)
-    assert cleaned.n_samples == 200
-
-
-def test_channel_that_begins_late() -> None:
-    slow = clean_channel(in_wide_log(np.arange(55, 6000, 10), 6000), RULES)
-    assert slow.counts["missing"] == 0
-    fast = clean_channel(in_wide_log(np.arange(55, 6000), 6000), RULES)
-    assert fast.counts["missing"] == 55
+@pytest.mark.parametrize(
+    ("rows", "n", "n_missing"),
+    [
+        # Each sample that is left out of a slow channel is missing once.
+        *((np.delete(EVERY_TENTH + first, LEFT_OUT), 6000, 4) for first in (0, 7)),
+        # A rate that is no whole part of the rows misses none.
+        *(
+            (np.ceil(np.arange(400) * ratio + phase).astype(np.int64), 0, 0)
+            for ratio in (2.0, 2.5, 3.3, 4.0, 6.7)
+            for phase in (0.0, 0.2, 0.5, 0.7)
+        ),
+        # A fast channel misses every blank, also at the begin, where a slow one misses none.
+        (np.delete(np.arange(200), [3, 50, 51]), 200, 3),
+        (np.arange(55, 6000), 6000, 55),
+        (EVERY_TENTH[5:] + 5, 6000, 0),
+    ],
+)
+def test_what_is_missing_of_a_channel_in_a_log_whose_rows_are_another_s(
+    rows: NDArray[np.int64], n: int, n_missing: int
+) -> None:
+    cleaned = clean_channel(in_wide_log(rows, n or rows[-1] + 1), RULES)
+    assert refused_by(cleaned) == ({"missing": n_missing, "any": n_missing} if n_missing else {})
+    assert cleaned.n_samples == len(rows) + n_missing
+    if n_missing == len(LEFT_OUT):
+        lost = (np.array(LEFT_OUT) * 10 + rows[0]) * STEP
+        np.testing.assert_array_equal(cleaned.time_us[cleaned.refused], lost)
 
 
 def test_blank_cells_of_a_repeated_row_are_no_samples_of_a_slow_channel() -> None:
@@ -234,20 +211,6 @@ def test_temperature_has_limits_of_its_own_and_what_a_channel_states_wins() -> N
     assert {name: getattr(rules, name) for name in stated} == stated
 
 
-def test_reading_that_is_not_finite_is_not_missing() -> None:
-    value = lively(100)
-    value[[10, 20, 30]] = np.nan, np.inf, -np.inf
-    cleaned = clean_channel(raw(stamps(100), value), RULES)
-    assert cleaned.counts["not_finite"] == cleaned.counts["any"] == 3
-    assert cleaned.counts["missing"] == cleaned.counts["spike"] == 0
-    np.testing.assert_array_equal(np.flatnonzero(cleaned.refused), [10, 20, 30])
-
-
-def test_range_includes_its_ends() -> None:
-    value = np.array([-1.1, -1.0, 0.0, 450.0, 450.1, np.nan])
-    assert out_of_range(value, (-1.0, 450.0)).tolist() == [True, *[False] * 3, True, False]
-
-
 def test_maximum_to_half_of_the_resolution() -> None:
     value = np.array([19.98, 19.9899, 19.9901, 20.0 - 1e-12, 20.0, 20.02, np.nan])
     found = at_maximum(value, 20.0, 0.02).tolist()
@@ -257,13 +220,15 @@ def test_maximum_to_half_of_the_resolution() -> None:
 
 
 def test_several_rules_count_each_and_once_under_any() -> None:
-    """At its maximum the sensor is out of range here, too."""
+    """At its maximum the sensor is out of range here, too; what is not finite is not missing."""
     value = lively(200)
     value[100:104] = 120.0
-    rules = replace(RULES, sensor_maximum=120.0)
-    cleaned = clean_channel(raw(stamps(200), value), rules)
-    assert refused_by(cleaned) == {"out_of_range": 4, "at_maximum": 4, "any": 4}
-    np.testing.assert_array_equal(np.flatnonzero(cleaned.at_maximum), range(100, 104))
+    value[[10, 20, 30]] = np.nan, np.inf, -np.inf
+    cleaned = clean_channel(raw(stamps(200), value), replace(RULES, sensor_maximum=120.0))
+    counts = {"not_finite": 3, "out_of_range": 6, "at_maximum": 5, "any": 7}
+    assert refused_by(cleaned) == counts
+    np.testing.assert_array_equal(np.flatnonzero(cleaned.refused), [10, 20, 30, *range(100, 104)])
+    np.testing.assert_array_equal(np.flatnonzero(cleaned.at_maximum), [20, *range(100, 104)])
 
 
 def slow_hampel(value: Floats, window: int, threshold: float, resolution: float) -> list[bool]:
@@ -318,13 +283,18 @@ def test_spikes_between_borders_are_judged_by_themselves() -> None:
     assert not found[:10].any()
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
-def test_samples_before_a_gap_do_not_judge_those_after_it(seed: int, level: float) -> None:
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]), st.booleans())
+def test_samples_before_a_gap_do_not_judge_those_after_it(
+    seed: int, level: float, is_silent: bool
+) -> None:
+    """A gap of silence, or of values that are out of range."""
     after = 50.0 + np.random.default_rng(seed).standard_t(2, 60)
-    time = np.append(stamps(60), stamps(60) + 60 * SECOND)
-    alone = clean_channel(raw(time[60:], after), RULES)
-    both = clean_channel(raw(time, np.append(lively(60) + level, after)), RULES)
-    np.testing.assert_array_equal(both.refused[60:], alone.refused)
+    value = np.concatenate([lively(60) + level, np.full(60, 500.0), after])
+    time = stamps(180)
+    seen = np.delete(np.arange(180), np.arange(60, 120) if is_silent else [])
+    alone = clean_channel(raw(time[120:], after), RULES)
+    both = clean_channel(raw(time[seen], value[seen]), RULES)
+    np.testing.assert_array_equal(both.refused[-60:], alone.refused)
 
 
 @pytest.mark.parametrize(("n", "refused"), [(601, 0), (602, 602)])
@@ -417,15 +387,10 @@ def test_of_two_rows_that_contradict_each_other_the_stray_one_is_refused() -> No
     np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
 
 
-def test_jitter_is_counted_and_refuses_nothing() -> None:
+def test_jitter_is_counted_and_refuses_nothing_and_samples_left_out_are_none() -> None:
     time = stamps(1000)
     time[[100, 500, 700]] += 40_000
     found = as_read("pressure_difference", time, lively(1000))
-    assert found.noted["jitter"] == 6
-    assert found.counts["any"] == 0
-
-
-def test_samples_left_out_are_no_jitter() -> None:
-    time = np.delete(stamps(1000), [5, 70, 71, 72])
-    steps = Steps.of(time)
-    assert (steps.period_us, steps.n_jittered(time)) == (STEP, 0)
+    assert (found.noted["jitter"], found.counts["any"]) == (6, 0)
+    left = np.delete(stamps(1000), [5, 70, 71, 72])
+    assert Steps.of(left).n_jittered(left) == 0

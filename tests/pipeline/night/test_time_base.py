@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US
 from pipeline.config import Cleaning, SensorHealth, Settings, TimeBase
 from pipeline.config.nights import Night
-from pipeline.night import resampling
-from pipeline.night.channel_rules import Sampling
+from pipeline.night import time_base
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.halts import Halts, settled_halts
-from pipeline.night.resampling import on_grid
-from pipeline.night.time_base import Quality, Samples, bring_together, grid_period_us
+from pipeline.night.halts import Zero, zeros_of_halts
+from pipeline.night.time_base import (
+    INPUTS,
+    Quality,
+    Samples,
+    bring_together,
+    grid_period_us,
+    on_grid,
+)
 from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
 
 START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC
@@ -56,64 +61,54 @@ def together(
 ) -> tuple[Samples, dict[tuple[str, str], Quality]]:
     here = Night(dt.date(2026, 1, 3), START, END)
     own = Settings().model_copy(update={"cleaning": Cleaning(**settings)})
-    samples, found = bring_together(channels, here, own)
-    keys = [(one.channel, one.reason) for one in found]
-    assert len(keys) == len(set(keys))
-    return samples, {(one.channel, one.reason): one for one in found}
+    samples, counted = bring_together(channels, here, own)
+    quality = {(rule.channel, rule.reason): rule for rule in counted}
+    assert len(quality) == len(counted)
+    return samples, quality
 
 
-def grid_of(*rates_hz: float, **settings: float) -> int:
-    channels = {
-        str(rate): cleaned(np.zeros(0, np.int64), np.zeros(0), period_us=SECOND / rate)
-        for rate in rates_hz
-    }
-    return grid_period_us(channels, TimeBase(**settings))
+def grid_of(sampled_hz: float, **settings: float) -> int:
+    channel = cleaned(np.zeros(0, np.int64), np.zeros(0), period_us=SECOND / sampled_hz)
+    return grid_period_us({"speed": channel}, TimeBase(**settings))
 
 
-@given(st.integers(1, 10), st.floats(-0.04, 0.04))
-def test_jitter_gives_no_grid_of_its_own(rate_hz: int, jitter: float) -> None:
+@given(st.integers(1, 10), st.floats(-0.04, 0.04), st.floats(0.01, 2000.0))
+def test_jitter_gives_no_grid_of_its_own_and_none_is_faster_than_ten_hertz_unless_stated(
+    rate_hz: int, jitter: float, any_rate_hz: float
+) -> None:
     assert grid_of(rate_hz * (1 + jitter)) == round(SECOND / rate_hz)
+    assert grid_of(any_rate_hz) >= SECOND // 10
+    assert grid_of(any_rate_hz, rate_hz=20.0) == 50_000
 
 
-@given(st.floats(0.01, 2000.0))
-def test_never_faster_than_ten_hertz_unless_stated(rate_hz: float) -> None:
-    assert grid_of(rate_hz) >= SECOND // 10
-
-
-def test_stated_rate_wins() -> None:
-    assert grid_of(5.0, rate_hz=20.0) == 50_000
-    assert grid_of(5.0, rate_hz=0.5) == 2 * SECOND
-
-
-def test_counts_from_the_night_s_start() -> None:
-    samples, _ = together(running(60, START + 3600 * SECOND + 30_000))
+@pytest.mark.parametrize(
+    ("begin_us", "first", "last"),
+    [
+        # The first point after the log's first sample, which stands 30 ms off the grid.
+        (START + 3600 * SECOND + 30_000, 36_001, 36_600),
+        # A night is half open.
+        (END - 10 * SECOND, 863_900, 863_999),
+        (START, 0, 600),
+    ],
+)
+def test_the_grid_counts_from_the_night_s_start(begin_us: int, first: int, last: int) -> None:
+    samples, _ = together(running(60, begin_us))
     np.testing.assert_array_equal(samples.time_us, START + samples.index * samples.period_us)
-    # The first point after the log's first sample, which stands 30 ms off the grid.
-    assert samples.index[0] == 36_001
+    assert samples.index.tolist() == [*range(first, last + 1)]
 
 
-def test_night_is_half_open() -> None:
-    samples, _ = together(running(30, END - 10 * SECOND))
-    assert samples.time_us[-1] == END - STEP
-    samples, _ = together(running(30, START))
-    assert samples.time_us[0] == START
-
-
-@pytest.mark.parametrize("rate_hz", [10, 20, 100])
+@pytest.mark.parametrize("rate_hz", [10, 100])
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_a_log_that_touches_the_night_with_a_few_samples(rate_hz: int, n: int) -> None:
     """None of them on a point of the grid: there is nothing to keep, and no fault."""
     period = SECOND // rate_hz
     time = START + 3000 + np.arange(n, dtype=np.int64) * period
     time = time[time < START + STEP]
-    channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in FLEET}
+    channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in INPUTS}
     samples, quality = together(channels)
     assert len(samples.index) == samples.n_logged == 0
     assert samples.kept_share == 0.0
-    assert all(one.n_refused == 0 for one in quality.values())
-
-
-FLEET = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+    assert all(rule.n_refused == 0 for rule in quality.values())
 
 
 @pytest.mark.parametrize("port", ["high_port_pressure", "low_port_pressure"])
@@ -129,19 +124,25 @@ def test_a_port_that_is_refused_refuses_the_difference(port: str) -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_standstill_and_its_guard_times(sign: float) -> None:
-    """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s."""
+    """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s; a gap of the flow within it."""
     channels = running(200)
-    speed = channels["speed"].value
+    speed, flow = channels["speed"].value, channels["leakage_flow"]
     speed *= sign
     speed[500:600], speed[1000:1100] = sign * 0.51, sign * 0.49
+    awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
+    channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
     samples, quality = together(channels)
-    assert quality["time_base", "standstill"].n_refused == 100
-    assert quality["time_base", "guard"].n_refused == 100 + 300
-    assert quality["time_base", "any"].n_refused == 500
+    assert quality["leakage_flow", "gap"].n_refused == 41
+    # Each reason counts, and any once.
+    counts = {reason: rule.n_refused for (name, reason), rule in quality.items() if name == BASE}
+    assert counts == {"standstill": 100, "guard": 400, "incomplete": 41, "any": 500}
     lost = np.setdiff1d(np.arange(2001), samples.index)
     np.testing.assert_array_equal(lost, range(900, 1400))
-    assert samples.n_running == 2001 - 500
+    assert (samples.n_running, samples.n_logged, samples.n_turning) == (2001 - 500, 2001, 1901)
     assert samples.kept_share == 1.0
+
+
+BASE = "time_base"
 
 
 def test_back_flow_and_its_guard_times() -> None:
@@ -152,72 +153,41 @@ def test_back_flow_and_its_guard_times() -> None:
     samples, quality = together(channels)
     lost = np.setdiff1d(np.arange(2001), samples.index)
     np.testing.assert_array_equal(lost, range(900, 1301))
-    assert quality["time_base", "guard"].n_refused == 401
-    assert quality["time_base", "standstill"].n_refused == 0
+    assert quality[BASE, "guard"].n_refused == 401
+    assert quality[BASE, "standstill"].n_refused == 0
 
 
 def test_transients_only_where_asked_for() -> None:
     channels = running(200)
     channels["speed"].value[1000:] += 20.0
     _, quality = together(channels)
-    assert ("time_base", "transient") not in quality
+    assert (BASE, "transient") not in quality
     samples, quality = together(channels, refuse_transients=True)
-    assert quality["time_base", "transient"].n_refused == 2
+    assert quality[BASE, "transient"].n_refused == 2
     assert not {999, 1000} & set(samples.index.tolist())
 
 
-def test_each_reason_counts_and_any_once() -> None:
-    """A gap in the flow within a standstill: refused for both, counted once under any."""
-    channels = running(200)
-    channels["speed"].value[1000:1100] = 0.0
-    flow = channels["leakage_flow"]
-    awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
-    channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
-    _, quality = together(channels)
-    assert quality["leakage_flow", "gap"].n_refused == 41
-    assert quality["time_base", "incomplete"].n_refused == 41
-    assert quality["time_base", "standstill"].n_refused == 100
-    assert quality["time_base", "any"].n_refused == 500
-
-
-def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
-    """The definition, point by point: value where there is one, and whether the channel slept."""
-    times = channel.time_us.tolist()
-    values: list[float | None] = []
-    silent = []
+def slow_definition(
+    channel: CleanChannel, grid: Times, *, is_held: bool
+) -> tuple[list[float], list[bool]]:
+    """Point by point: value, nan where there is none, and whether the channel slept."""
+    times, values, silent = channel.time_us.tolist(), [], []
     for point in grid.tolist():
         before = max((i for i, t in enumerate(times) if t <= point), default=None)
         after = min((i for i, t in enumerate(times) if t >= point), default=None)
-        value = None
+        after = before if is_held else after
+        value = np.nan
         if before is None or after is None:
             silent.append(True)
-        elif before == after:
-            silent.append(False)
-            if not channel.refused[before]:
-                value = float(channel.value[before])
         else:
-            distance = times[after] - times[before]
-            ends = channel.ends is not None and bool(channel.ends[before])
-            silent.append(ends or distance > channel.longest_gap_us)
-            good = not (channel.refused[before] or channel.refused[after] or silent[-1])
-            if good:
-                share = (point - times[before]) / distance
-                value = float((1 - share) * channel.value[before] + share * channel.value[after])
-        values.append(value)
-    return values, silent
-
-
-def slow_hold(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
-    """The same of a channel whose last sample holds until it is too old, or says that none is."""
-    values: list[float | None] = []
-    silent = []
-    for point in grid.tolist():
-        last = int(np.searchsorted(channel.time_us, point, side="right")) - 1
-        age = point - int(channel.time_us[last]) if last >= 0 else np.inf
-        ended = last >= 0 and channel.ends is not None and bool(channel.ends[last]) and age > 0
-        silent.append(ended or age > channel.longest_gap_us)
-        good = not silent[-1] and not channel.refused[last]
-        values.append(float(channel.value[last]) if good else None)
+            ends = channel.ends is not None and channel.ends[before] and times[before] != point
+            apart = (point if is_held else times[after]) - times[before]
+            silent.append(bool(ends or apart > channel.longest_gap_us))
+            if not (silent[-1] or channel.refused[before] or channel.refused[after]):
+                share = 0.0 if is_held or not apart else (point - times[before]) / apart
+                value = (1 - share) * channel.value[before]
+                value += share * channel.value[after] if share else 0.0
+        values.append(float(value))
     return values, silent
 
 
@@ -236,7 +206,7 @@ EVEN_STAMPS = st.tuples(
     st.booleans(),
     st.booleans(),
     st.sampled_from([10.0, 20.0, 30.0, 50.0]),
-    st.sampled_from([2, resampling.EVEN_SAMPLES]),
+    st.sampled_from([2, time_base.EVEN_SAMPLES]),
 )
 def test_as_the_slow_definition(
     times: list[int],
@@ -254,25 +224,22 @@ def test_as_the_slow_definition(
     value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
     channel = cleaned(time, value, refused, period_us=period_us, longest_gap_us=longest)
     channel = replace(channel, ends=rng.random(len(time)) < 0.2) if on_change else channel
-    channel = replace(channel, sampling=Sampling(on_change=on_change, hold=hold))
+    channel = replace(channel, rules=replace(channel.rules, on_change=on_change, hold=hold))
     grid = np.arange(-20, 420, 10, dtype=np.int64)
     # Also where the stretches are shorter than such as pay.
-    with patch.object(resampling, "EVEN_SAMPLES", even_samples):
+    with patch.object(time_base, "EVEN_SAMPLES", even_samples):
         got, present, silent = on_grid(channel, grid, 10)
-    expected, asleep = (slow_hold if hold else slow_interpolation)(channel, grid)
-    assert present.tolist() == [one is not None for one in expected]
+    expected, asleep = slow_definition(channel, grid, is_held=hold)
     assert silent.tolist() == asleep
-    np.testing.assert_allclose(
-        got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
-    )
-    assert np.isnan(got[~present]).all()
+    assert present.tolist() == np.isfinite(expected).tolist()
+    np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-9)
 
 
 FAST_US = np.arange(1000, dtype=np.int64) * 10_000
 CELLS_US = np.arange(1, 100, dtype=np.int64) * STEP
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("share", [0.0, 0.6])
 def test_mean_of_what_is_kept_of_the_cell_around_each_point(share: float) -> None:
     rng = np.random.default_rng(1)
     value, refused = rng.normal(0, 1, 1000), rng.random(1000) < share
@@ -298,7 +265,6 @@ def test_more_than_one_and_a_half_samples_a_cell(period_us: float, averaged: boo
 
 
 Array = NDArray[np.float64]
-
 N = 6000
 GRID = np.arange(N, dtype=np.int64) * SECOND_US
 # Left out after the motor has stopped, and needed after that [s]: the defaults.
@@ -323,21 +289,19 @@ def night(*halts: tuple[int, int]) -> tuple[NDArray[np.bool_], Array, Array]:
     return still, bar, flow
 
 
-def found(still: NDArray[np.bool_], bar: Array, flow: Array, **more: CleanChannel) -> Halts:
+def zeros(
+    still: NDArray[np.bool_], bar: Array, flow: Array, **more: CleanChannel
+) -> tuple[Zero | None, Zero | None]:
     channels = {"pressure_difference": channel(bar), "leakage_flow": channel(flow)} | more
-    return settled_halts(still, GRID, channels, SensorHealth(without_pressure_at_halts=True))
+    return zeros_of_halts(still, GRID, channels, SensorHealth(without_pressure_at_halts=True))
 
 
 THREE = ((500, 700), (2000, 2300), (4000, 4200))
 
 
 def test_the_zeros_are_those_that_were_put_in() -> None:
-    seen = found(*night(*THREE))
-    assert seen.n == 3
-    for zero, truth, sd in (
-        (seen.pressure_bar, ZERO_BAR, 0.05),
-        (seen.flow_l_per_min, ZERO_FLOW, 0.002),
-    ):
+    truths = (ZERO_BAR, 0.05), (ZERO_FLOW, 0.002)
+    for zero, (truth, sd) in zip(zeros(*night(*THREE)), truths, strict=True):
         assert zero.value == pytest.approx(truth, abs=sd)
         # From the scatter of three medians of 155 samples and more each.
         assert 0 < zero.standard_error < sd / 4
@@ -357,15 +321,16 @@ def test_readings_that_are_no_zero_are_left_out(
     still, bar, flow = night(*THREE)
     flow[disturbed] = 20.0
     stuck = is_at_maximum & np.isin(np.arange(N), disturbed)
-    seen = found(still, bar, flow, leakage_flow=channel(flow, stuck))
-    assert seen.n == n
-    assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
+    pressure, zero = zeros(still, bar, flow, leakage_flow=channel(flow, stuck))
+    # Of three halts there is a scatter.
+    assert (zero.standard_error is None) == (pressure.standard_error is None) == (n < 3)
+    assert zero.value == pytest.approx(ZERO_FLOW, abs=0.001)
 
 
 def test_a_halt_that_is_too_short_tells_nothing() -> None:
     just_too_short = SETTLE + NEEDED
-    assert found(*night((500, 500 + just_too_short))).n == 0
-    assert found(*night((500, 500 + just_too_short + 1))).n == 1
+    assert zeros(*night((500, 500 + just_too_short))) == (None, None)
+    assert None not in zeros(*night((500, 500 + just_too_short + 1)))
 
 
 @pytest.mark.parametrize(
@@ -381,7 +346,6 @@ def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
     if low_bar is not None:
         ports = {"high_port_pressure": low_bar + bar, "low_port_pressure": np.full(N, low_bar)}
         channels = {name: channel(values) for name, values in ports.items()} | channels
-    seen = settled_halts(still, GRID, channels, SensorHealth(), case_bar)
-    assert seen.n == 3
-    assert seen.pressure_bar.value == pytest.approx(ZERO_BAR, abs=0.05)
-    assert (seen.flow_l_per_min is not None) == is_known
+    pressure, zero = zeros_of_halts(still, GRID, channels, SensorHealth(), case_bar)
+    assert pressure.value == pytest.approx(ZERO_BAR, abs=0.05)
+    assert (zero is not None) == is_known

@@ -15,8 +15,8 @@ from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
 from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import fit_night
-from pipeline.night.rows import Row
 from pipeline.notebook import open_tables, prepare, prepare_log
+from pipeline.schema import Row
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
