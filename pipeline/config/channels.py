@@ -78,7 +78,7 @@ class Channel(Section):
     gain_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Error in proportion to the reading."""
     frozen_after_s: Positive | None = None
-    """As in `[cleaning]`; temperature: 900 s unless stated."""
+    """Time without a change after which a sensor is frozen; by default 60 s, temperature 900 s."""
     sampling: Literal["periodic", "on_change", "mean"] = "periodic"
     """Fixed rate (`periodic`), sent on change or compressed (`on_change`), means of a period
     (`mean`)."""

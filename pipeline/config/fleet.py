@@ -8,16 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
+from leakage import FilmPressure, Motor
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
 from pipeline.config.oil_samples import OilSample, Walther, measured_curve
 from pipeline.config.settings import Execution, Settings
 from pipeline.errors import UsageError
-
-if TYPE_CHECKING:
-    from leakage import Motor
 
 # Object stores that logs and tables may lie in.
 URL_SCHEMES = ("s3", "az", "gs")
@@ -84,8 +81,6 @@ class MotorSpec:
 
     def motor_with(self, oil: OilFile, flushing_mode: str) -> Motor:
         """Return the motor with an oil and under one mode of flushing."""
-        from leakage import FilmPressure, Motor
-
         model = self.settings.model
         motor = Motor(
             motor_type=self.motor_type.motor_type,

@@ -14,16 +14,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from leakage import Motor
+from leakage.estimation.sample_blocks import ChosenPeriods
 from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.section import Stage
-
-if TYPE_CHECKING:
-    from leakage import Motor
-    from leakage.estimation.sample_blocks import ChosenPeriods
 
 # Raise one when the code makes other samples of the same file; other statistics of the same
 # samples, so that old blocks never merge with new ones; other figures of the same statistics.
@@ -158,15 +156,13 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     >>> why_anew({"trends": {"trend": {"x": 2}}}, {"trends": {"trend": {"x": 3}}}, trends=True)
     'changed setting trend.x'
     """
-    if not before or before == now:
-        return "changed settings"
     versions = before.get("versions", {})
     steps = [
         f"{key} {versions.get(key, '?')} to {version}"
         for key, version in now.get("versions", {}).items()
         if version != versions.get(key)
     ]
-    if steps:
+    if steps and before:
         return f"another version of the program ({', '.join(steps)})"
     parts = ("nights", "trends") if trends else ("nights",)
     old, new = (
@@ -174,7 +170,7 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
         for settings in (before, now)
     )
     names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-    if not names:
+    if not names or not before:
         return "changed settings"
     more = ", …" if len(names) > SETTINGS_NAMED else ""
     return f"changed setting {', '.join(names[:SETTINGS_NAMED])}{more}"

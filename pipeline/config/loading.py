@@ -16,6 +16,8 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from leakage import LeakageError, leakage_l_per_min
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.channels import COUNTED
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile
@@ -148,8 +150,6 @@ def _settings(
 
 def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Yield faults of analyses that only show beside the oil, the date, or the other file."""
-    from leakage.physics.walther import kinematic_viscosity_mm2_per_s
-
     if spec.file.oil_samples and spec.circuit_samples:
         message = "expected the analyses in this file or in that of the oil circuit, not both"
         yield Fault(file, "oil_samples", message)
@@ -188,8 +188,6 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
 
 def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
     """Yield faults that only show when type, oil, flushing and settings come together."""
-    from leakage import LeakageError, leakage_l_per_min
-
     conditions = spec.settings.reference.conditions().operating
     for name in spec.file.oils:
         for mode in spec.file.flushing.modes:

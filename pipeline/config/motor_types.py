@@ -6,15 +6,16 @@ Other motor families, and paths that the thesis leaves out, are files, not code.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
+from leakage.physics.motor import FIXED_COLUMNS
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
+from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
+from leakage.physics.walther import walther_coefficients
 from pipeline.config.section import Id, Misfit, NonNegative, Positive, Section, Stage, left_out
-
-if TYPE_CHECKING:
-    from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
-    from leakage.physics.paths import LeakagePath
 
 BAR = 1e5
 
@@ -42,8 +43,6 @@ class Unknown(Section):
 
     def parameter(self, name: str, unit: str) -> Parameter:
         """Return the unknown as the estimation knows it."""
-        from leakage import Parameter
-
         return Parameter(name, unit, self.value, self.minimum, self.maximum, self.fixed)
 
 
@@ -122,9 +121,6 @@ class AnnularGapPath(PathSection):
             yield (), "expected deformation_pressure_bar or deformation_points, not both", None
 
     def path(self) -> AnnularGap:
-        from leakage import AnnularGap
-        from leakage.physics.simulated_curves import fit_deformation_pressure
-
         deformation_pa = None
         if self.deformation_points is not None:
             deformation_pa = fit_deformation_pressure(
@@ -173,9 +169,6 @@ class SpeedCurvePath(PathSection):
             yield (), "expected coefficients with speed_range_rpm, or points", None
 
     def path(self) -> SpeedCurve:
-        from leakage import SpeedCurve
-        from leakage.physics.simulated_curves import fit_speed_curve
-
         coefficients, speed_range = self.coefficients or (), self.speed_range_rpm or (0.0, 0.0)
         if self.points is not None:
             coefficients = fit_speed_curve(self.points)
@@ -203,8 +196,6 @@ class LaminarPath(PathSection):
     """Loss factor of one interface, m³."""
 
     def path(self) -> Laminar:
-        from leakage import Laminar
-
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
 
 
@@ -238,9 +229,6 @@ class MotorTypeFile(Section):
     """Absolute limits, where there are any."""
 
     def misfits(self) -> Iterator[Misfit]:
-        from leakage.physics.motor import FIXED_COLUMNS
-        from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
-
         names, parameters = {*FIXED_COLUMNS, FLUSHING_PATH}, {FLUSHING_PARAMETER}
         for index, declared in enumerate(self.path):
             own = {parameter.name for parameter in declared.path().parameters}
@@ -284,9 +272,6 @@ class OilFile(Section):
 
     def oil(self) -> Oil:
         """Return the oil as the physics knows it."""
-        from leakage import Oil
-        from leakage.physics.walther import walther_coefficients
-
         cold, warm = zip(
             self.reference_temperatures_c, self.reference_viscosities_mm2_per_s, strict=True
         )

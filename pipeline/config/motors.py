@@ -5,10 +5,13 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from leakage import Constant, Parameter
+from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.clock import microseconds
 from pipeline.config.channels import (
     COUNT,
@@ -20,6 +23,7 @@ from pipeline.config.channels import (
 )
 from pipeline.config.dialect import field_path
 from pipeline.config.logs import Logs
+from pipeline.config.nights import Night
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import (
     Id,
@@ -32,11 +36,6 @@ from pipeline.config.section import (
     name_of,
 )
 from pipeline.units import QUANTITIES, UNITS
-
-if TYPE_CHECKING:
-    from leakage import Constant
-    from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
-    from pipeline.config.nights import Night
 
 
 class Event(Section):
@@ -91,7 +90,6 @@ class Periods(Section):
 
     def within(self, night: Night) -> ChosenPeriods:
         """Return those that touch a night, in order of time."""
-        from leakage.estimation.sample_blocks import ChosenPeriods
 
         def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
             stretches = sorted((microseconds(begin), microseconds(end)) for begin, end in chosen)
@@ -133,9 +131,6 @@ class FlushingTable(Section):
 
     def path(self, mode: str) -> Constant:
         """Return the flushing of one mode as a constant path."""
-        from leakage import Constant, Parameter
-        from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
-
         flow = 0.0 if mode == "none" else self.flow_l_per_min
         limits = (flow, flow)
         if mode == "estimated":

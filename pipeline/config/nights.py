@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from pipeline.arrays import Times
 from pipeline.config.settings import Nights
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 DAY = dt.timedelta(days=1)
 
@@ -46,10 +44,8 @@ def nights_between(first: dt.date, last: dt.date) -> list[dt.date]:
     return [first + index * DAY for index in range((last - first).days + 1)]
 
 
-def nights_of(time_us: NDArray[np.int64], nights: Nights) -> set[dt.date]:
+def nights_of(time_us: Times, nights: Nights) -> set[dt.date]:
     """Return labels of all nights in which any of some moments lies."""
-    import numpy as np
-
     if not len(time_us):
         return set()
     labels = nights_between(

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
+from leakage.physics.walther import walther_coefficients, walther_through
 from pipeline.config.motor_types import OilFile
 from pipeline.config.section import Misfit, Section, Stage
 
@@ -30,8 +32,6 @@ class OilSample(Section):
     """The same at 100 °C; by default by the data sheet's slope."""
     water_mg_per_kg: Annotated[float | None, Field(ge=0, le=100_000), Stage.TRENDS] = None
     """Water content, for information."""
-    note: Annotated[str, Stage.NOTHING] = ""
-    """In words."""
 
     def misfits(self) -> Iterator[Misfit]:
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
@@ -43,8 +43,6 @@ class OilSample(Section):
 
     def curve(self, oil: OilFile) -> Walther | None:
         """Return Walther constants of the sample; None without a viscosity."""
-        from leakage.physics.walther import walther_coefficients, walther_through
-
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
         if at_40 is None:
             return None
@@ -80,8 +78,6 @@ def measured_curve(
     Between two samples A and B are linear in time, and so is log log Z = A − B log T (ASTM D341).
     A filling with a date begins as the data sheet has it.
     """
-    import numpy as np
-
     known = [(sample.date, curve) for sample in samples if (curve := sample.curve(oil)) is not None]
     if known and filled is not None and filled < known[0][0]:
         sheet = oil.oil()

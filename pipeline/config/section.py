@@ -224,32 +224,24 @@ class Section(BaseModel):
 
     @classmethod
     @cache
-    def in_stage(cls, stage: Stage) -> Mapping[str, bool]:
-        """Return whether each key is of a stage: that which it names, else its table's."""
-        found = {}
+    def keys_of(cls, stage: Stage) -> Mapping[str, bool]:
+        """Return keys that are of a stage, or may hold tables, with whether they are of it.
+
+        A key is of the stage that it names, else of its table's.
+        """
+        keys = {}
         for key, field in cls.model_fields.items():
             own = next((own for own in field.metadata if isinstance(own, Stage)), cls.shapes)
-            found[key] = bool(own & stage)
-        return found
-
-    @classmethod
-    @cache
-    def _keys_of(cls, stage: Stage) -> tuple[tuple[str, bool, bool], ...]:
-        """Return keys of a stage, and those that may hold tables: whether of it, and may hold."""
-        keys = (
-            (key, is_of_it, _holds_tables(cls.model_fields[key].annotation))
-            for key, is_of_it in cls.in_stage(stage).items()
-        )
-        return tuple((key, is_of_it, holds) for key, is_of_it, holds in keys if is_of_it or holds)
+            if own & stage or _holds_tables(field.annotation):
+                keys[key] = bool(own & stage)
+        return keys
 
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """Return all settings of a stage, by key; of tables, the keys that are of it."""
         found: dict[str, Any] = {}
-        for key, is_of_it, may_hold_tables in self._keys_of(stage):
+        for key, is_of_it in self.keys_of(stage).items():
             value = getattr(self, key)
-            if not may_hold_tables:
-                found[key] = value
-            elif isinstance(value, Section):
+            if isinstance(value, Section):
                 part = value.shaping(stage)
                 found |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):

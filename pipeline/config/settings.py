@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
 
+from leakage import OperatingConditions
+from leakage.estimation.sample_blocks import Windows as Blocks
 from pipeline.config.alarms import Alarms
 from pipeline.config.section import (
     Misfit,
@@ -21,10 +23,6 @@ from pipeline.config.section import (
     TimeZone,
     left_out,
 )
-
-if TYPE_CHECKING:
-    from leakage import OperatingConditions
-    from leakage.estimation.sample_blocks import Windows as Blocks
 
 Rate = Annotated[float, Field(gt=0, le=1000)]
 InputName = Literal["pressure_difference", "oil_temperature", "speed"]
@@ -146,8 +144,6 @@ class Windows(Section):
 
     def blocks(self) -> Blocks:
         """Return the same as the estimation takes them."""
-        from leakage.estimation.sample_blocks import Windows as Blocks
-
         return Blocks(BLOCK_S, split=self.split, training_share=self.training_share)
 
 
@@ -194,8 +190,6 @@ class Conditions:
     @property
     def operating(self) -> OperatingConditions:
         """The same as the model takes them."""
-        from leakage.physics.conditions import OperatingConditions
-
         return OperatingConditions.from_bar(
             self.pressure_bar, self.temperature_c, self.speed_rpm, self.charge_over_case_bar
         )

@@ -1,10 +1,9 @@
-"""Analyses of the oil: which curve holds in a night, and what is refused."""
+"""Analyses of the oil: which curve holds in a night."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -12,7 +11,6 @@ from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import SettingsHashes, config_hash
 from pipeline.config.oil_samples import OilSample
-from tests.pipeline.config.shipped import SAMPLE, add, change, faults, load
 from tests.pipeline.trends.nights import FIRST, event, motor, named, night_of
 
 
@@ -61,51 +59,16 @@ def test_a_dated_filling_begins_as_its_data_sheet_has_it() -> None:
 
 
 def test_one_viscosity_keeps_the_slope_of_the_data_sheet() -> None:
-    oil = motor().oil_on(FIRST).oil()
-    assert sample(1, 54.4).curve(motor().oil_on(FIRST)) == (
-        pytest.approx(oil.walther_a, abs=0.1),
-        oil.walther_b,
-    )
+    sheet = motor().oil_on(FIRST)
+    a, b = sheet.oil().walther_a, sheet.oil().walther_b
+    assert sample(1, 54.4).curve(sheet) == (pytest.approx(a, abs=0.1), b)
 
 
 def test_only_the_figures_of_nights_with_another_curve_are_made_anew() -> None:
     before, after = motor(), with_samples(motor(), sample(10, 60.0))
-    hashes = SettingsHashes(before), SettingsHashes(after)
-    for place, same in ((9, True), (10, False)):
-        first, second = (digest.figures(night_of(place)) for digest in hashes)
-        assert (first == second) == same
-        first, second = (digest.statistics(night_of(place)) for digest in hashes)
-        assert first == second
+    old, new = SettingsHashes(before), SettingsHashes(after)
+    for place, is_same in ((9, True), (10, False)):
+        label = night_of(place)
+        assert (old.figures(label) == new.figures(label)) == is_same
+        assert old.statistics(label) == new.statistics(label)
     assert config_hash(before) != config_hash(after)
-
-
-def test_motors_of_a_circuit_share_its_file(configs: Path) -> None:
-    (configs / "oil_circuits").mkdir()
-    add(configs, "oil_circuits/winch.toml", SAMPLE)
-    found = {motor.motor_id: motor.circuit_samples for motor in load(configs).motors}
-    assert {name for name, samples in found.items() if samples} == {"CB1120-01", "CB1120-02"}
-
-
-def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) -> None:
-    (configs / "oil_circuits").mkdir()
-    for name in ("winch", "wench"):
-        add(configs, f"oil_circuits/{name}.toml", SAMPLE)
-    add(configs, "motors/CB1120-01.toml", SAMPLE)
-    assert {(fault.file, fault.key) for fault in faults(configs)} == {
-        ("oil_circuits/wench.toml", ""),
-        ("motors/CB1120-01.toml", "oil_samples"),
-    }
-
-
-def test_an_oil_with_a_fault_is_told_beside_its_analyses(configs: Path) -> None:
-    change(configs, "oils/vg68.toml", "density_15_c_kg_per_m3", "density")
-    add(configs, "motors/CB400-01.toml", SAMPLE)
-    assert {fault.file for fault in faults(configs)} == {"oils/vg68.toml"}
-
-
-def test_a_motors_file_that_is_no_toml_leaves_its_circuit_alone(configs: Path) -> None:
-    (configs / "oil_circuits").mkdir()
-    add(configs, "oil_circuits/winch.toml", SAMPLE)
-    for name in ("CB1120-01", "CB1120-02"):
-        add(configs, f"motors/{name}.toml", "broken =")
-    assert {fault.file[:13] for fault in faults(configs)} == {"motors/CB1120"}
