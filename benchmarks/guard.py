@@ -102,7 +102,7 @@ def _cases(folder: Path) -> list[Case]:
     """Parts of the program on a log of some hours or a day, each with what it is measured by."""
     from benchmarks.day_fleets import MOTORS, NIGHT, logs_of, make_fleet
     from benchmarks.log_readers import READERS
-    from leakage.estimation.block_statistics import factors
+    from leakage.estimation.blocks import factors
     from leakage.estimation.proven_minimum import fit
     from pipeline.config import load_fleet
     from pipeline.config.nights import night

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from leakage.errors import EstimationError, LeakageError
 from leakage.physics.annular_gap import AnnularGap
 from leakage.physics.conditions import OperatingConditions
-from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor, leakage_l_per_min, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure, Oil
-from leakage.physics.paths import Constant, Laminar, SpeedCurve
+from leakage.physics.paths import Constant, Laminar, Parameter, SpeedCurve
 
 if TYPE_CHECKING:
     from leakage.estimation.sensitivities import ChannelTolerance, Tolerances

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.arrays import Array, Mask
-from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.blocks import merge, with_free_known
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.misfit import Misfit, misfit
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, certify, fit

@@ -14,25 +14,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.estimation.choices import (
-    FARTHEST,
-    LARGEST_BLOCK_SHARE,
-    LARGEST_ROOT_VIF,
-    LEAST_FREEDOM,
-    LEAST_FREEDOM_LEAKAGE,
-    LEAST_PRESSURE_SPAN_BAR,
-    WIDENING,
-    WIDEST_COEFFICIENT,
-    WIDEST_EXTRAPOLATED,
-    WIDEST_IDENTIFIED,
-    WIDEST_UNCERTAIN,
-)
 from leakage.estimation.proven_minimum import Fit
-from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
+from leakage.estimation.slow_errors import LEAST_FREEDOM_LEAKAGE, NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import regressors
-from leakage.physics.paths import LeakagePath
+from leakage.physics.paths import Law
 
 Verdict: TypeAlias = Literal[
     "identified",
@@ -45,6 +32,25 @@ Verdict: TypeAlias = Literal[
 ]
 # Verdicts of a figure that has a value.
 WITH_VALUE = ("identified", "uncertain", "extrapolated", "fixed")
+
+# Limits of the verdicts; simulated means the nights of model.md, sections 5 and 8.
+# Half-width over K, and √VIF: beyond, a figure would be read for more than it says.
+WIDEST_COEFFICIENT = 0.5
+LARGEST_ROOT_VIF = 100.0
+# Half-width over the leakage, statistical and systematic together, of each verdict.
+WIDEST_IDENTIFIED = 0.10
+WIDEST_UNCERTAIN = 0.25
+WIDEST_EXTRAPOLATED = 0.12
+# Distance from what the samples saw over which a leakage is extrapolated [bar, K], with simulated
+# coverage of 91 to 98 %; not over speed, which only a known curve follows.
+FARTHEST = {"pressure": 20.0, "temperature": 10.0, "speed": 0.0}
+# Least span of pressure for telling gaps apart that differ in their deformation.
+LEAST_PRESSURE_SPAN_BAR = 20.0
+# A combination of which one block tells more than this, or that has fewer degrees of freedom, has
+# no credible interval: with 3 degrees of freedom 92 % of the simulated ones of a loss factor held
+# the truth, as the limit of their width selects lucky nights.
+LARGEST_BLOCK_SHARE = 0.5
+LEAST_FREEDOM = 4.0
 
 ONE_STRETCH = (
     "it rests on one short stretch of the window; its conditions must recur to show how sure it is"
@@ -98,8 +104,7 @@ def identify(
     """
     # A bound on which the minimum lies is no knowledge: every coefficient that is not fixed counts.
     free = ~fit.proven_minimum.fixed
-    widening = WIDENING if slow.are_slow else 1.0
-    distribution = cluster_robust(factors, fit.coefficients, free, widening)
+    distribution = cluster_robust(factors, fit.coefficients, free, slow.widening)
     paths = fit.motor.coefficient_paths
     judgements = tuple(
         _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
@@ -132,7 +137,7 @@ def judge_by_total(
 
 def _judge(
     place: int,
-    path: LeakagePath | None,
+    path: Law | None,
     fit: Fit,
     distribution: ClusterRobust | None,
     excitation: Excitation,
@@ -174,7 +179,7 @@ def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
 
 def _unseen(
     place: int,
-    path: LeakagePath,
+    path: Law,
     fit: Fit,
     everything: ClusterRobust,
     interval: Interval | None,
@@ -214,7 +219,7 @@ def _too_little(interval: Interval, least_freedom: float = LEAST_FREEDOM) -> Jud
     return None
 
 
-def _size(path: LeakagePath, estimate: float) -> float:
+def _size(path: Law, estimate: float) -> float:
     """Return reference size for a half-width: the configured coefficient.
 
     Dividing by the newest night's own estimate would favour nights whose estimate happens to be
@@ -223,7 +228,7 @@ def _size(path: LeakagePath, estimate: float) -> float:
     return path.configured_coefficient or abs(estimate)
 
 
-def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -> str:
+def _missing_operation(path: Law, excitation: Excitation, span: float) -> str:
     """Return operation that would make the path identifiable."""
     low, high = excitation.pressure_bar
     visible = path.visible_below_pa / 1e5

@@ -32,8 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.arrays import Array, Mask
-from leakage.estimation.block_statistics import merge
-from leakage.estimation.choices import BLOCKS_A_COEFFICIENT, CLEAR, ROUNDING, WIDENING
+from leakage.estimation.blocks import ROUNDING, merge
 from leakage.estimation.slow_errors import slow_errors, whitened
 from leakage.estimation.uncertainty import cluster_robust
 
@@ -43,6 +42,14 @@ IN_FRONT = 5
 UNITS = (10.0, 100.0, 50.0)
 # Share of a column below which others say all of it.
 RANK_TOLERANCE = 1e-8
+# Half-widths that a misfit adds, over what it can do, of a leakage and of a coefficient: so large
+# that intervals held under wrong films, oils and rollers.
+LEAKAGE_FACTOR = 2.0
+COEFFICIENT_FACTOR = 2.5
+# A misfit is clear where it is this much larger than what noise explains.
+CLEAR = 2.0
+# Blocks for each coefficient that a covariance takes.
+BLOCKS_A_COEFFICIENT = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +104,7 @@ def misfit(
     whole = merge(white) if slow.are_slow else unweighted
     values = _least_squares(whole, needed | added, held)
     error = whole @ np.concatenate([-values, (-1.0, 1.0)])
-    widening = WIDENING if slow.are_slow else 1.0
-    distribution = cluster_robust(white, values, needed | added, widening, whole)
+    distribution = cluster_robust(white, values, needed | added, slow.widening, whole)
     if distribution is None or not error @ error > (ROUNDING * mean_flow) ** 2 * n.sum():
         return None
     columns = np.flatnonzero(added)

@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.estimation.block_statistics import factors
+from leakage.estimation.blocks import factors
 from leakage.estimation.proven_minimum import certify
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors

@@ -42,20 +42,26 @@ from typing import NamedTuple
 import numpy as np
 
 from leakage.arrays import Array, Mask, Places
-from leakage.estimation.block_statistics import merge, sample_count
-from leakage.estimation.choices import (
-    EVIDENCE,
-    LARGEST_SLOW,
-    LEAST_BLOCKS,
-    LEAST_FREEDOM_LEAKAGE,
-    LEAST_WITHIN,
-    MEMORIES,
-    RATIOS,
-    ROUNDING,
-)
+from leakage.estimation.blocks import ROUNDING, merge, sample_count
 
 # Relative size below which a column does not vary within blocks, or depends on others.
 RANK_TOLERANCE = 1e-9
+# Grid of the restricted likelihood: memory from block to block, and variance over that of a mean.
+MEMORIES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
+RATIOS = tuple(10.0 ** (half / 2) for half in range(-2, 10))
+# −2 Δ log REML from which on slow errors are taken for real: what AIC asks for two parameters.
+EVIDENCE = 4.0
+# Factor on half-widths that makes up for ρ and λ being estimates: simulated coverage.
+WIDENING = 1.25
+# Largest variance of a slow error, over that of the means' errors under least squares: a larger one
+# would throw away what the means say of the level, and doubled the error of the leakage.
+LARGEST_SLOW = 4.0
+# Neighbouring samples act at most as one in three, or nothing within a block could tell.
+LEAST_WITHIN = 3.0
+# Fewer blocks tell nothing of a memory.
+LEAST_BLOCKS = 5
+# Degrees of freedom that a leakage needs: with 2, 94 to 97 % of intervals held.
+LEAST_FREEDOM_LEAKAGE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +79,11 @@ class SlowErrors:
     def are_slow(self) -> bool:
         """True if the errors are correlated beyond a block, so that the means must be whitened."""
         return self.memory > 0.0 and self.evidence >= EVIDENCE
+
+    @property
+    def widening(self) -> float:
+        """Factor on half-widths that makes up for memory and size being estimates."""
+        return WIDENING if self.are_slow else 1.0
 
     def hides_level(self, number: Places) -> bool:
         """True if blocks at these places of the clock hold too few of its turns to tell a level.

@@ -38,7 +38,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from leakage.arrays import Array, Mask
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.blocks import merge
 
 # Eigenvalues of I − G̃_b below this belong to a block without which a coefficient is unknown.
 LEVERAGE_FLOOR = 1e-8

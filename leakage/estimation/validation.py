@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.estimation.block_statistics import factor, sample_count, squared_error
+from leakage.estimation.blocks import factor, sample_count, squared_error
 
 # A fit below it is poor: the mean of the samples judged describes them better than the model.
 POOR_FIT_PERCENT = 0.0

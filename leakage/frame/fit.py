@@ -11,8 +11,7 @@ import numpy as np
 from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
-from leakage.estimation.identifiability import Excitation
-from leakage.estimation.sample_blocks import (
+from leakage.estimation.blocks import (
     NONE_CHOSEN,
     SECOND_US,
     TRAINING,
@@ -24,13 +23,13 @@ from leakage.estimation.sample_blocks import (
     places_on_clock,
     split_into_blocks,
 )
+from leakage.estimation.identifiability import Excitation
 from leakage.estimation.sensitivities import Tolerances
 from leakage.estimation.validation import agreement
 from leakage.frame.result import FrameFit
 from leakage.frame.samples import FrameSamples, Period, read_samples
-from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor, regressors
-from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Constant
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Constant, Parameter
 
 HIGHEST_FLUSHING_L_PER_MIN = 20.0
 DAY_US = 86_400 * SECOND_US

@@ -11,9 +11,9 @@ from plotly.graph_objects import Bar, Figure, Scatter
 from plotly.subplots import make_subplots
 
 from leakage.arrays import Array
+from leakage.estimation.blocks import SECOND_US, TRAINING, VALIDATION
 from leakage.estimation.proven_minimum import Fit
 from leakage.estimation.residual_analysis import ResidualAnalysis
-from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
 from leakage.frame.samples import FrameSamples
 from leakage.physics.conditions import PASCALS_PER_BAR, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min, regressors

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
-from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
+from leakage.estimation.blocks import SECOND_US
 from leakage.estimation.identifiability import (
     Identification,
     Judgement,
@@ -22,16 +22,15 @@ from leakage.estimation.identifiability import (
     judge_by_total,
     judge_leakage,
 )
-from leakage.estimation.misfit import model_errors
+from leakage.estimation.misfit import COEFFICIENT_FACTOR, LEAKAGE_FACTOR, model_errors
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
-from leakage.estimation.sample_blocks import SECOND_US
 from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
 from leakage.estimation.validation import Agreement
 from leakage.frame import words
 from leakage.frame.samples import FrameSamples, read_samples
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors
-from leakage.physics.paths import LeakagePath
+from leakage.physics.paths import Law
 
 if TYPE_CHECKING:
     import polars as pl
@@ -64,7 +63,7 @@ class FrameFit:
     beside_samples: Array
 
     @property
-    def paths(self) -> dict[int, LeakagePath]:
+    def paths(self) -> dict[int, Law]:
         """Path of each coefficient by its place in θ."""
         paths = self.motor.coefficient_paths
         return {at: path for at, path in enumerate(paths) if path is not None}

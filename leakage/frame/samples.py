@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from leakage.arrays import Array, Mask
 from leakage.errors import LeakageError, ShapeError, StatisticsError
-from leakage.estimation.choices import ROUNDING
-from leakage.estimation.sample_blocks import SECOND_US, Stretch
+from leakage.estimation.blocks import ROUNDING, SECOND_US, Stretch
 from leakage.physics.conditions import OperatingConditions
 
 Columns: TypeAlias = Mapping[str, Array]

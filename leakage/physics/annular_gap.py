@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from leakage.arrays import Array
-from leakage.errors import ParameterError
-from leakage.physics.law import (
+from leakage.physics.paths import (
     LITRES_PER_MINUTE,
     CoefficientUnit,
     DerivedFigure,
@@ -23,42 +22,6 @@ from leakage.physics.law import (
     require_parameter,
     require_positive,
 )
-
-
-def film_thickness_ratio(
-    gap_m: ArrayLike, eccentricity: ArrayLike, roughness_1_m: float, roughness_2_m: float
-) -> Array:
-    r"""Return film thickness ratio at the narrowest place of a gap, shape of the arguments, [-].
-
-    .. math:: \Lambda = \frac{h (1 - e)}{\sqrt{R_{a1}^2 + R_{a2}^2}}
-
-    with the mean gap height h, [m], the eccentricity e from 0 to 1, and the mean roughness of the
-    two surfaces, [m]; section 2.2.4 of the thesis.
-
-    Raises ParameterError if a gap is negative, an eccentricity outside 0 to 1, or both surfaces
-    perfectly smooth.
-
-    Examples
-    --------
-    >>> round(float(film_thickness_ratio(10e-6, 0.4, 0.2e-6, 0.2e-6)), 2)
-    21.21
-    """
-    gap = np.asarray(gap_m, dtype=np.float64)
-    closeness = 1.0 - np.asarray(eccentricity, dtype=np.float64)
-    roughness = math.hypot(roughness_1_m, roughness_2_m)
-    if np.any(gap < 0.0) or np.any((closeness < 0.0) | (closeness > 1.0)):
-        raise ParameterError(
-            "film_gap", "a film needs a gap height from 0 upwards and an eccentricity from 0 to 1"
-        )
-    if not 0.0 < roughness < math.inf or min(roughness_1_m, roughness_2_m) < 0.0:
-        raise ParameterError(
-            "film_roughness",
-            f"roughness {roughness_1_m:g} m and {roughness_2_m:g} m: neither may be negative,"
-            " and one must be above 0",
-        )
-    ratio: Array = gap * closeness / roughness
-    return ratio
-
 
 MICROMETRE = 1e-6
 MICROMETRES_PER_METRE = 1e6
@@ -175,18 +138,11 @@ class AnnularGap(Law):
         r"""Gap height of a loss factor at an eccentricity, [µm]: the inverse of `coefficient`.
 
         .. math:: h = \frac{1}{c} \left(\frac{6 l K}{n \pi r (1 + 1.5 e^2)}\right)^{1/3}
-
-        Raises ParameterError if a coefficient is negative, or the eccentricity outside 0 to 1.
         """
-        coefficient = np.asarray(coefficient_m3, dtype=np.float64)
-        if np.any(coefficient < 0.0) or not 0.0 <= eccentricity <= 1.0:
-            raise ParameterError(
-                "path_inverse",
-                f"path {self.name!r}: no gap height belongs to K = {np.min(coefficient):g} m³ at"
-                f" e = {eccentricity:g}; K must not be negative and e lie between 0 and 1",
-            )
         widening = 1.0 + 1.5 * eccentricity * eccentricity
-        gap_um: Array = np.cbrt(coefficient / (self._concentric_m3_per_um3 * widening))
+        gap_um: Array = np.cbrt(
+            np.asarray(coefficient_m3) / (self._concentric_m3_per_um3 * widening)
+        )
         return gap_um
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
@@ -205,9 +161,10 @@ class AnnularGap(Law):
     ) -> tuple[DerivedFigure, ...]:
         """Return gap height, eccentricity where there is one, and film thickness ratio."""
         gaps_um, eccentricities = self._feasible(coefficient)
-        ratios = film_thickness_ratio(
-            np.array(gaps_um) * MICROMETRE, np.array(eccentricities)[::-1], *roughness_m
-        ).tolist()
+        # Λ = h (1 − e) / √(R_a1² + R_a2²) at the narrowest place, section 2.2.4 of the thesis.
+        roughness, (least, most) = math.hypot(*roughness_m), eccentricities
+        low, high = (MICROMETRE * gap for gap in gaps_um)
+        ratios = low * (1.0 - most) / roughness, high * (1.0 - least) / roughness
         e = self.eccentricity
         shared = e is not None and e.is_free and self.gap.is_free
         gap_limits = None

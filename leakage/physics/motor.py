@@ -15,9 +15,8 @@ import numpy as np
 from leakage.arrays import Array
 from leakage.errors import ParameterError
 from leakage.physics.conditions import OperatingConditions
-from leakage.physics.law import Side
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
-from leakage.physics.paths import Constant, LeakagePath, SpeedCurve
+from leakage.physics.paths import Constant, Law, Side, SpeedCurve
 
 FIXED_COLUMNS = ("one", "known", "measured")
 
@@ -46,7 +45,7 @@ class Motor:
     """
 
     motor_type: str
-    paths: tuple[LeakagePath, ...]
+    paths: tuple[Law, ...]
     oil: Oil
     film_pressure: FilmPressure = THESIS_FILM_PRESSURE
 
@@ -73,12 +72,12 @@ class Motor:
         return next((path for path in self.paths if isinstance(path, Constant)), None)
 
     @cached_property
-    def column_paths(self) -> tuple[LeakagePath, ...]:
+    def column_paths(self) -> tuple[Law, ...]:
         """Free paths but the constant, in declared order: one column each."""
         return tuple(path for path in self.paths if path.is_free and not isinstance(path, Constant))
 
     @cached_property
-    def coefficient_paths(self) -> tuple[LeakagePath | None, ...]:
+    def coefficient_paths(self) -> tuple[Law | None, ...]:
         """Path of each coefficient of θ: the columns', then the constant's or None."""
         return (*self.column_paths, self.constant)
 
@@ -90,7 +89,7 @@ class Motor:
         return np.array(lower), np.array(upper)
 
     @cached_property
-    def known_paths(self) -> tuple[LeakagePath, ...]:
+    def known_paths(self) -> tuple[Law, ...]:
         """Paths of which nothing is free, but the constant: their sum is the known flow."""
         return tuple(
             path for path in self.paths if not path.is_free and not isinstance(path, Constant)
@@ -239,7 +238,7 @@ def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[sli
         yield rows, sides
 
 
-def _regressor(path: LeakagePath, sides: list[Side]) -> Array:
+def _regressor(path: Law, sides: list[Side]) -> Array:
     """Return regressor of a path, summed over the sides; a constant flow has none of them."""
     first, *others = (path.regressor(side) for side in sides)
     if isinstance(path, Constant):

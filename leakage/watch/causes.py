@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s, walther_coefficients
 from leakage.watch import choices
 from leakage.watch.baseline import Baseline
 from leakage.watch.nights import FLUSHING, Machine

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leakage.physics.oil import Oil
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import Oil, kinematic_viscosity_mm2_per_s
 from leakage.watch import choices
 from leakage.watch.baseline import N_TEMPERATURE
 from leakage.watch.evidence import Sums
@@ -27,7 +26,7 @@ def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
 
     Examples
     --------
-    >>> from leakage.physics.walther import walther_coefficients
+    >>> from leakage.physics.oil import walther_coefficients
     >>> constants = (882.0, 7.0e-4, 2.0e-8)
     >>> vg_68, vg_46 = (
     ...     Oil(name, *walther_coefficients(40.0, at_40, 100.0, at_100), *constants)

@@ -17,7 +17,7 @@ from importlib.metadata import version
 from typing import Any
 
 from leakage import Motor
-from leakage.estimation.sample_blocks import ChosenPeriods
+from leakage.estimation.blocks import ChosenPeriods
 from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from leakage import LeakageError, leakage_l_per_min
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.config.channels import COUNTED
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, is_url, overlap
 from pipeline.config.motor_types import MotorTypeFile, OilFile

@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
 from leakage.physics.motor import FIXED_COLUMNS
-from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
+from leakage.physics.oil import walther_coefficients
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Law
 from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
-from leakage.physics.walther import walther_coefficients
 from pipeline.config.section import Id, Misfit, NonNegative, Positive, Section, Stage, left_out
 
 BAR = 1e5
@@ -83,7 +83,7 @@ class PathSection(Section):
     source: Annotated[Source, Stage.FIGURES]
     """Document behind the values, or `placeholder` for a guess."""
 
-    def path(self) -> LeakagePath:
+    def path(self) -> Law:
         """The path as the physics knows it; raises ValueError for numbers that it refuses."""
         raise NotImplementedError
 
@@ -237,7 +237,7 @@ class MotorTypeFile(Section):
             names.add(declared.name)
             parameters |= own
 
-    def paths(self) -> tuple[LeakagePath, ...]:
+    def paths(self) -> tuple[Law, ...]:
         """Return the declared paths, in order."""
         return tuple(path.path() for path in self.path)
 

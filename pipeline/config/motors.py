@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AwareDatetime, Field
 
 from leakage import Constant, Parameter
-from leakage.estimation.sample_blocks import ChosenPeriods, Stretch
+from leakage.estimation.blocks import ChosenPeriods, Stretch
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.clock import microseconds
 from pipeline.config.channels import (

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from leakage.physics.walther import walther_coefficients, walther_through
+from leakage.physics.oil import walther_coefficients, walther_through
 from pipeline.config.motor_types import OilFile
 from pipeline.config.section import Misfit, Section, Stage
 

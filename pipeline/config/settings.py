@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 
 from leakage import OperatingConditions
-from leakage.estimation.sample_blocks import Windows as Blocks
+from leakage.estimation.blocks import Windows as Blocks
 from pipeline.config.alarms import Alarms
 from pipeline.config.section import (
     Misfit,

@@ -20,8 +20,7 @@ import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor, OperatingConditions, regressors
 from leakage.estimation.block_fit import BlockEstimate, fit_blocks
-from leakage.estimation.block_statistics import merge, with_free_known
-from leakage.estimation.choices import COEFFICIENT_FACTOR, LEAKAGE_FACTOR
+from leakage.estimation.blocks import merge, with_free_known
 from leakage.estimation.identifiability import (
     Excitation,
     Identification,
@@ -32,7 +31,7 @@ from leakage.estimation.identifiability import (
     judge_by_total,
     judge_leakage,
 )
-from leakage.estimation.misfit import Misfit, model_errors
+from leakage.estimation.misfit import COEFFICIENT_FACTOR, LEAKAGE_FACTOR, Misfit, model_errors
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, fit
 from leakage.estimation.sensitivities import (
     SENSORS,

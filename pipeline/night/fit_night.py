@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from leakage import EstimationError, LeakageError
-from leakage.estimation.sample_blocks import TRAINING, within
+from leakage.estimation.blocks import TRAINING, within
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.ingest import RawChannel

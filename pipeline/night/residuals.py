@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from leakage.estimation.choices import ROUNDING
+from leakage.estimation.blocks import ROUNDING, TRAINING, VALIDATION
 from leakage.estimation.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
-from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.transport_lag import transport_lag
 from pipeline.arrays import Array, chosen_rows
 from pipeline.night.statistics import NightStatistics

@@ -10,13 +10,12 @@ from dataclasses import asdict
 import numpy as np
 
 from leakage import Motor, regressors
-from leakage.estimation.block_statistics import with_free_known
+from leakage.estimation.blocks import TRAINING, VALIDATION, with_free_known
 from leakage.estimation.identifiability import ONE_BLOCK, Judgement
 from leakage.estimation.residual_analysis import ResidualAnalysis
-from leakage.estimation.sample_blocks import TRAINING, VALIDATION
 from leakage.estimation.validation import agreement, criteria
 from leakage.physics.motor import path_flows_l_per_min
-from leakage.physics.paths import LeakagePath
+from leakage.physics.paths import Law
 from pipeline.arrays import Array
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
@@ -221,7 +220,7 @@ def _why_fixed(mode: BlockFit) -> str:
     return "configured, as most of a baseline's first nights do not identify it yet"
 
 
-def _coefficient_row(mode: BlockFit, path: LeakagePath, place: int | None) -> Row:
+def _coefficient_row(mode: BlockFit, path: Law, place: int | None) -> Row:
     """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
     if place is None:
         value, judgement = path.configured_coefficient, Judgement("fixed", "configured", None)
@@ -245,7 +244,7 @@ def _interval(value: float, half_width: float) -> Row:
     return {"lower": value - half_width, "upper": value + half_width}
 
 
-def _derived_rows(spec: MotorSpec, path: LeakagePath, coefficient: Row) -> list[Row]:
+def _derived_rows(spec: MotorSpec, path: Law, coefficient: Row) -> list[Row]:
     """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
     first, second = spec.motor_type.surface_roughness_um
     limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None

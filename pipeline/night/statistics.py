@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
-from leakage.estimation.sample_blocks import CompressedSamples, compress, split_into_blocks
-from leakage.physics.oil import Oil, density_kg_per_m3
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.estimation.blocks import CompressedSamples, compress, split_into_blocks
+from leakage.physics.oil import Oil, density_kg_per_m3, kinematic_viscosity_mm2_per_s
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night

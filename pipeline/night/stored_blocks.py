@@ -11,10 +11,9 @@ import numpy as np
 import polars as pl
 
 from leakage.estimation.block_fit import SampleBlocks
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.blocks import TRAINING, merge, places_on_clock
 from leakage.estimation.identifiability import Excitation
-from leakage.estimation.sample_blocks import TRAINING, places_on_clock
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.night.statistics import driven

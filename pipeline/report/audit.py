@@ -15,8 +15,8 @@ import numpy as np
 import polars as pl
 
 from leakage import Motor
-from leakage.estimation.block_statistics import merge, with_free_known
-from leakage.estimation.multi_start import Search, coefficients_at, free_parameters, search
+from leakage.estimation.blocks import merge, with_free_known
+from leakage.estimation.proven_minimum import Search, coefficients_at, free_parameters, search
 from pipeline.arrays import Array
 from pipeline.config import Fleet, MotorSpec
 from pipeline.night.fit import scale_of

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array
 from pipeline.config.motors import Event
 from pipeline.messages import plain

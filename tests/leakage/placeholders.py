@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Literal
 
 from leakage.physics.annular_gap import AnnularGap
-from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil
-from leakage.physics.paths import Constant, LeakagePath, SpeedCurve
+from leakage.physics.paths import Constant, Law, Parameter, SpeedCurve
 
 Flushing = Literal["none", "fixed", "estimated"]
 
@@ -88,7 +87,7 @@ def placeholder_motor(
     f: the statistics' columns are o, p, s, one, known, measured.
     """
     count = HIGH_PRESSURE_COUNTS[motor_type]
-    paths: list[LeakagePath] = [piston_ring(count), balance_piston(count), balance_sleeve(count)]
+    paths: list[Law] = [piston_ring(count), balance_piston(count), balance_sleeve(count)]
     paths.append(cam_roller(count, free=roller_is_free))
     if flushing != "none":
         fixed = flushing == "fixed"

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import Field
 
-from leakage.physics.law import (
+from leakage.physics.paths import (
     CoefficientUnit,
     DerivedFigure,
     Law,

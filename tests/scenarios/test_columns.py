@@ -8,7 +8,7 @@ from pathlib import Path
 
 import polars as pl
 
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.schema import LATEST, NIGHTS, TABLES
 from tests.scenarios.command import run_command
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet, step

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from scipy.special import ndtri
 
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.blocks import merge
 from leakage.estimation.identifiability import WITH_VALUE
 from leakage.estimation.validation import agreement
 from leakage.watch import Estimate, NightBlocks

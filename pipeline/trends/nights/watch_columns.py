@@ -9,8 +9,8 @@ import numpy as np
 import polars as pl
 
 from leakage import LeakageError, regressors
-from leakage.estimation.block_statistics import with_free_known
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.estimation.blocks import with_free_known
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from leakage.watch import Machine, NightBlocks
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.course.slope import fit_slope
-from leakage.course.time_to_limit import time_to_limit
+from leakage.course.trend import fit_slope, time_to_limit
 from leakage.estimation.identifiability import WITH_VALUE
 from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
@@ -101,7 +100,7 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
     hours = history.running_hours(end)[first:]
     line = fit_slope(numbers, series, numbers / DAYS_A_YEAR)
     by_hours = fit_slope(numbers, series, hours / 1000.0)
-    row: Row = {"n_nights": line.n, "is_provisional": line.status == "provisional"}
+    row: Row = {"n_nights": line.n, "is_provisional": line.is_provisional}
     for per, slope in (("per_year", line), ("per_1000_h", by_hours)):
         row[f"slope_{per}"] = slope.slope
         row |= {f"slope_{per}_lower": slope.lower, f"slope_{per}_upper": slope.upper}

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from leakage.estimation.sample_blocks import smooth
+from leakage.estimation.blocks import smooth
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

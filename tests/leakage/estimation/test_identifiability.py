@@ -13,7 +13,7 @@ from scipy.stats import t as student_t
 
 from leakage import Motor, OperatingConditions, leakage_l_per_min
 from leakage.estimation import identifiability
-from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.blocks import factors, merge
 from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
 from leakage.estimation.proven_minimum import Fit, fit
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.blocks import factors, merge
 from leakage.estimation.misfit import Misfit, misfit, model_errors
 from leakage.estimation.proven_minimum import ProvenMinimum, certify
 from leakage.physics.conditions import OperatingConditions

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from leakage.errors import StatisticsError
 from leakage.estimation.residual_analysis import LagTest, analyse_residuals
 from tests.leakage.estimation.made_errors import Array, Generator, autoregression
 
@@ -99,15 +98,6 @@ def test_half_of_the_samples_need_neighbours(length: int, tested: bool) -> None:
         assert test.verdict == "passed"
     else:
         check_untested(test, "without a gap")
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_values_that_are_not_finite_are_refused(bad: float) -> None:
-    error, u = np.random.default_rng(46).normal(size=(2, 2000))
-    u[7] = bad
-    with pytest.raises(StatisticsError) as refused:
-        independence(error, u)
-    assert refused.value.code == "not_finite"
 
 
 def gappy(n: int, generator: Generator) -> Places:

@@ -10,7 +10,7 @@ import pytest
 from leakage import AnnularGap, Motor, OperatingConditions, SpeedCurve, leakage_l_per_min
 from leakage.errors import ValidityError
 from leakage.estimation.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
-from leakage.physics.paths import LeakagePath
+from leakage.physics.paths import Law
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
 
@@ -58,7 +58,7 @@ def test_effects_are_of_the_size_and_sign_that_the_model_states() -> None:
     assert -60 < in_percent["pressure-viscosity coefficient"][1] < -20
 
 
-def with_tolerance(path: LeakagePath) -> LeakagePath:
+def with_tolerance(path: Law) -> Law:
     """A path of which every constant is known to some percent."""
     if isinstance(path, AnnularGap):
         return replace(path, deformation_tolerance=0.1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
-from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.blocks import factors, merge
 from leakage.estimation.identifiability import Excitation, judge_leakage
 from leakage.estimation.proven_minimum import certify
 from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level

@@ -13,24 +13,21 @@ from scipy.integrate import quad
 
 from leakage.errors import ParameterError, ShapeError, ValidityError
 from leakage.physics.conditions import OperatingConditions
-from leakage.physics.law import Parameter
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import (
     FilmPressure,
     Oil,
     dynamic_viscosity_pa_s,
     flow_drive_per_s,
+    kinematic_viscosity_mm2_per_s,
+    walther_coefficients,
 )
-from leakage.physics.paths import Constant
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.physics.paths import Constant, Parameter
 from tests.leakage.placeholders import (
     piston_ring,
     placeholder_motor,
     placeholder_oil,
 )
-
-WORKED = OperatingConditions.from_bar([40.0, 200.0, 300.0], [40.0, 50.0, 60.0], [10.0, 30.0, 80.0])
-WORKED_CB560_L_PER_MIN = [0.361771, 1.371423, 3.220537]
 
 
 def random_conditions(n: int, seed: int = 1) -> OperatingConditions:
@@ -42,22 +39,15 @@ def random_conditions(n: int, seed: int = 1) -> OperatingConditions:
     )
 
 
-def test_total_of_the_cb560_worked_values() -> None:
-    total = total_flow_l_per_min(placeholder_motor("CB560"), WORKED)
-    assert total == pytest.approx(WORKED_CB560_L_PER_MIN, abs=5e-7)
-
-
-@given(pressure_bar=st.floats(0.0, 350.0), speed_rpm=st.floats(0.0, 300.0))
-def test_direction_has_no_effect(pressure_bar: float, speed_rpm: float) -> None:
-    forward, *others = (
-        total_flow_l_per_min(
-            placeholder_motor(),
-            OperatingConditions.from_bar(p * pressure_bar, 50.0, w * speed_rpm),
-        )
-        for p, w in ((1, 1), (-1, -1), (-1, 1), (1, -1))
+@pytest.mark.parametrize(("forward", "turning"), [(1, 1), (-1, -1), (-1, 1), (1, -1)])
+def test_total_of_the_cb560_worked_values_in_either_direction(forward: int, turning: int) -> None:
+    at = OperatingConditions.from_bar(
+        forward * np.array([40.0, 200.0, 300.0]),
+        [40.0, 50.0, 60.0],
+        turning * np.array([10.0, 30.0, 80.0]),
     )
-    for other in others:
-        np.testing.assert_array_equal(other, forward)
+    total = total_flow_l_per_min(placeholder_motor("CB560"), at)
+    assert total == pytest.approx([0.361771, 1.371423, 3.220537], abs=5e-7)
 
 
 @pytest.mark.parametrize("roller_is_free", [False, True])
@@ -113,8 +103,8 @@ def test_a_standard_can_be_freed() -> None:
 
 
 def test_coefficient_of_an_unknown_path_is_refused() -> None:
-    with pytest.raises(ParameterError, match="has no path") as caught:
-        total_flow_l_per_min(placeholder_motor(), WORKED, {"K_o": 1e-14})
+    with pytest.raises(ParameterError) as caught:
+        total_flow_l_per_min(placeholder_motor(), random_conditions(3), {"K_o": 1e-14})
     assert caught.value.code == "coefficient_unknown"
 
 
@@ -122,16 +112,15 @@ def test_motor_without_paths_or_with_doubled_ones_is_refused() -> None:
     oil, ring = placeholder_oil(), piston_ring()
     flushing = Constant("f", Parameter("C_f", "l_per_min", 4.0, 0.0, 20.0))
     other = replace(flushing, name="g", flow=replace(flushing.flow, name="C_g"))
-    for paths, message in (
-        ((), "no leakage path"),
-        ((ring, ring), "more than once"),
-        ((ring, replace(ring, name="q")), "parameter"),
-        ((replace(ring, name="known"),), "known"),
-        ((flushing, other), "more than one constant"),
+    for paths in (
+        (),
+        (ring, ring),
+        (ring, replace(ring, name="q")),
+        (replace(ring, name="known"),),
+        (flushing, other),
     ):
-        with pytest.raises(ParameterError, match=message) as caught:
+        with pytest.raises(ParameterError, match="CB0"):
             Motor("CB0", paths, oil)
-        assert "CB0" in str(caught.value)
 
 
 @pytest.mark.parametrize("shapes", [(2, 3, 2), (2, 2, 2, 3), ((2, 2),) * 3])
@@ -141,11 +130,6 @@ def test_conditions_of_unequal_length_are_refused(shapes: tuple[int, ...]) -> No
     if len(set(shapes)) > 1:
         with pytest.raises(ShapeError):
             OperatingConditions.from_bar(*map(np.zeros, shapes))
-
-
-def viscosity(grade: str, temperature_c: float) -> float:
-    oil = placeholder_oil(grade)
-    return float(kinematic_viscosity_mm2_per_s(temperature_c, oil.walther_a, oil.walther_b))
 
 
 @pytest.mark.parametrize(
@@ -162,7 +146,9 @@ def viscosity(grade: str, temperature_c: float) -> float:
 def test_kinematic_viscosity_worked_values(
     grade: str, temperature_c: float, expected: float, digit: float
 ) -> None:
-    assert viscosity(grade, temperature_c) == pytest.approx(expected, abs=digit)
+    oil = placeholder_oil(grade)
+    viscosity = kinematic_viscosity_mm2_per_s(temperature_c, oil.walther_a, oil.walther_b)
+    assert float(viscosity) == pytest.approx(expected, abs=digit)
 
 
 @given(thick=st.floats(1.2, 4.0), thin=st.floats(0.35, 1.1))
@@ -181,19 +167,27 @@ def test_full_form_worked_by_hand() -> None:
     assert [10.0**10.0**x for x in double_logs] == pytest.approx([4.7, 1.721928], rel=1e-6)
 
 
-@pytest.mark.parametrize("temperature_c", [-70.1, 370.1, -273.15, -500.0])
-def test_temperature_outside_d341_is_refused(temperature_c: float) -> None:
-    with pytest.raises(ValidityError, match="outside ASTM D341") as caught:
-        viscosity("VG 46", temperature_c)
-    assert caught.value.code == "oil_temperature_range"
-    assert viscosity("VG 46", -70.0) > viscosity("VG 46", -69.0)
+THIN = walther_coefficients(40.0, 1.2, 100.0, 0.4)
+VG_46 = walther_coefficients(40.0, 46.0, 100.0, 6.8)
 
 
-def test_viscosity_below_the_full_form_is_refused_even_beside_nan() -> None:
-    a, b = walther_coefficients(40.0, 1.2, 100.0, 0.4)
-    with pytest.raises(ValidityError, match=r"below the 0\.21") as caught:
-        kinematic_viscosity_mm2_per_s(np.array([math.nan, 300.0]), a, b)
-    assert caught.value.code == "oil_viscosity_range"
+@pytest.mark.parametrize(
+    ("temperatures_c", "oil", "code"),
+    [
+        ([-70.1], VG_46, "oil_temperature_range"),
+        ([370.1], VG_46, "oil_temperature_range"),
+        ([-273.15], VG_46, "oil_temperature_range"),
+        ([-500.0], VG_46, "oil_temperature_range"),
+        ([math.nan, 300.0], THIN, "oil_viscosity_range"),
+    ],
+)
+def test_temperatures_at_which_d341_does_not_hold_are_refused(
+    temperatures_c: list[float], oil: tuple[float, float], code: str
+) -> None:
+    with pytest.raises(ValidityError) as caught:
+        kinematic_viscosity_mm2_per_s(temperatures_c, *oil)
+    assert caught.value.code == code
+    assert np.diff(kinematic_viscosity_mm2_per_s([-70.0, -69.0], *VG_46)) < 0.0
 
 
 @pytest.mark.parametrize(
@@ -229,14 +223,11 @@ def test_slot_is_the_integral_of_the_fluidity_over_the_pressure_drop(pressure_ba
     assert float(slot) == pytest.approx(integral, rel=1e-10)
 
 
-@pytest.mark.parametrize("density", [0.0, -1.0, math.nan, math.inf])
-def test_oil_without_a_physical_constant_is_refused(density: float) -> None:
-    with pytest.raises(ParameterError, match="density_15_c_kg_per_m3"):
-        Oil("none", 9.4, 3.7, density, 7e-4, 2e-8)
-
-
-def test_a_film_pressure_is_one_of_two_models_and_its_share_one_of_the_whole() -> None:
+def test_an_oil_and_a_film_pressure_without_physics_are_refused() -> None:
     assert [FilmPressure(share=share).share for share in (0.0, 1.0)] == [0.0, 1.0]
     for nonsense in ({"share": -0.01}, {"share": 1.01}, {"model": "gap"}):
-        with pytest.raises(ParameterError, match="film pressure"):
+        with pytest.raises(ParameterError):
             FilmPressure(**nonsense)  # type: ignore[arg-type]
+    for density in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ParameterError):
+            Oil("none", 9.4, 3.7, density, 7e-4, 2e-8)

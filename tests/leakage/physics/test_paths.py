@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from leakage.errors import ParameterError
-from leakage.physics.annular_gap import VISIBLE_BELOW, film_thickness_ratio
-from leakage.physics.law import Parameter, Side
+from leakage.physics.annular_gap import VISIBLE_BELOW
 from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, flow_drive_per_s
-from leakage.physics.paths import Laminar, LeakagePath
+from leakage.physics.paths import Laminar, Law, Parameter, Side
 from tests.leakage.placeholders import (
     balance_piston,
     balance_sleeve,
@@ -38,7 +37,7 @@ def vector(*values: float) -> NDArray[np.float64]:
 
 
 def flow_l_per_min(
-    path: LeakagePath,
+    path: Law,
     pressure_bar: float,
     temperature_c: float = 50.0,
     speed_rpm: float = 30.0,
@@ -184,16 +183,6 @@ def test_a_path_shows_below_a_pressure_that_goes_with_its_deformation() -> None:
     assert piston_ring().visible_below_pa == VISIBLE_BELOW * 120e5
 
 
-def test_inverse_map_takes_arrays_and_refuses_what_has_no_gap() -> None:
-    piston = balance_piston()
-    assert piston.gap_um_from_coefficient([0.0, 1.558230e-14], 0.4) == pytest.approx(
-        [0.0, 10.0], rel=1e-7
-    )
-    for coefficient, e in ((-1e-15, 0.0), (1e-15, 1.5), (1e-15, math.nan)):
-        with pytest.raises(ParameterError, match="no gap height"):
-            piston.gap_um_from_coefficient(coefficient, e)
-
-
 @pytest.mark.parametrize(
     "figures", [(0.5, 1, 60), (61, 1, 60), (8, 60, 1), (math.nan, 1, 60), (8, 1, math.inf)]
 )
@@ -226,21 +215,3 @@ def test_parameter_outside_its_bounds_is_refused(figures: tuple[float, float, fl
 def test_a_path_with_nonsense_is_refused(path: Any, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         replace(path, **change)
-
-
-def test_film_thickness_ratio_by_hand_and_what_has_none() -> None:
-    # h(1 - e) = 12 µm · 0.75 = 9 µm; √(0.3² + 0.4²) = 0.5 µm.
-    assert float(film_thickness_ratio(12e-6, 0.25, 0.3e-6, 0.4e-6)) == pytest.approx(18.0)
-    # One perfectly smooth surface, no gap, and parts that touch are at the edge of what there is.
-    for gap_m, e in ((0.0, 0.0), (1e-6, 1.0)):
-        assert float(film_thickness_ratio(gap_m, e, 2e-7, 0.0)) == 0.0
-    for gap_m, e, rough, other in (
-        (-1e-6, 0.0, 2e-7, 0.0),
-        (1e-6, 1.1, 2e-7, 0.0),
-        (1e-6, -0.1, 2e-7, 0.0),
-        (1e-6, 0.0, 0.0, 0.0),
-        (1e-6, 0.0, math.nan, 0.0),
-        (1e-6, 0.0, 2e-7, -2e-7),
-    ):
-        with pytest.raises(ParameterError):
-            film_thickness_ratio(gap_m, e, rough, other)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import SettingsHashes, config_hash
 from pipeline.config.oil_samples import OilSample

@@ -12,8 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from leakage.physics.oil import density_kg_per_m3
-from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.physics.oil import (
+    density_kg_per_m3,
+    kinematic_viscosity_mm2_per_s,
+    walther_coefficients,
+)
 from pipeline.config import Channel, ConfigError, MotorSpec, TransportDelay
 from pipeline.config.oil_samples import OilSample
 from pipeline.night import transport_delay

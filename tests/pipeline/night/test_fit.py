@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from leakage import OperatingConditions, regressors, total_flow_l_per_min
-from leakage.estimation.block_statistics import merge
+from leakage.estimation.blocks import merge
 from leakage.estimation.misfit import model_errors
 from pipeline.config import MotorSpec
 from pipeline.night.fit import (

@@ -13,7 +13,7 @@ from polars.testing import assert_frame_equal
 import pipeline.logs.motor_logs
 import pipeline.run.night_plan
 from leakage import OperatingConditions, total_flow_l_per_min
-from leakage.estimation.sample_blocks import Windows as Blocks
+from leakage.estimation.blocks import Windows as Blocks
 from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from leakage.estimation.sample_blocks import (
+from leakage.estimation.blocks import (
     GUARD,
     TRAINING,
     VALIDATION,

@@ -20,7 +20,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import OperatingConditions, regressors
-from leakage.estimation.block_statistics import factor
+from leakage.estimation.blocks import factor
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.motors import Event
 from pipeline.demo import shipped_configs

@@ -1,10 +1,26 @@
-"""Blocks of samples on the clock, which of them train or validate, and their statistics.
+r"""Blocks of samples: their borders on the clock, which of them train, what a fit needs of them.
+
+The samples enter the least squares criterion only through the columns of z: a regressor for each
+path with a free coefficient, then 1, the known flow and the measured flow. With the QR
+decomposition Z = QR of a block's samples,
+
+.. math:: V(\theta) = \frac{1}{N} \lVert Z v(\theta) \rVert^2
+                    = \frac{1}{N} \lVert R v(\theta) \rVert^2 ,\quad
+          v(\theta) = (K_1, \dots, K_p, C_f, 1, -1)^T ,
+
+exactly and at any parameters. Factors merge: R of two blocks is the R of the two R stacked. A
+window of any length is therefore fitted from its blocks, without the samples, and blocks of many
+nights merge. The decomposition is backward stable [1]_; the criterion is (20) of the thesis.
 
 The split is decided on the short blocks, before neighbours are merged for storage; smoothing never
 crosses a block's border, so blocks do not depend on the split. A moving average comes after the
 regressors: the model is linear in the loss factors, so the same average on all columns leaves them
 unbiased; an average of the measured flow alone (as in the thesis, 3.3.2) does not (model.md,
 section 4).
+
+References
+----------
+.. [1] G. H. Golub and C. F. Van Loan, *Matrix Computations*, 4th ed., section 5.3, 2013.
 """
 
 from __future__ import annotations
@@ -18,7 +34,110 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.arrays import Array, Mask
-from leakage.estimation.block_statistics import factors, merge
+from leakage.errors import StatisticsError
+
+
+def factor(z: Array) -> Array:
+    """Return triangular factor of a block of samples, shape (c, c), its diagonal not negative.
+
+    `z` has the columns of n samples, shape (n, c): paths, one, known, measured. n may be 0.
+
+    Raises StatisticsError if `z` holds a value that is not finite.
+
+    Examples
+    --------
+    >>> factor(np.array([[3.0, 1.0], [4.0, 1.0]])).round(6)
+    array([[5. , 1.4],
+           [0. , 0.2]])
+    """
+    only: Array = factors(z, np.array([0, len(z)]))[0]
+    return only
+
+
+def factors(z: Array, borders: NDArray[np.int64]) -> Array:
+    """Triangular factors of consecutive blocks of samples, shape (b, c, c), each as of `factor`.
+
+    `borders` are the first row of each block and, last, the end; shape (b + 1,), not decreasing.
+    """
+    # Loaded with the first samples: commands that read tables alone do without it.
+    from scipy.linalg.lapack import dgeqrf
+
+    z = np.asarray(z, dtype=np.float64)
+    columns = z.shape[1]
+    found = np.zeros((len(borders) - 1, columns, columns))
+    for block, begin, end in zip(found, borders[:-1], borders[1:], strict=True):
+        if begin < end:
+            r = dgeqrf(z[begin:end])[0][:columns]
+            block[: len(r)] = r
+    _require_finite("samples", found)
+    return _positive(found)
+
+
+def merge(factors_in_time_order: Array) -> Array:
+    """Return factor of the union of blocks, from theirs of shape (b, c, c).
+
+    Their order changes rounding only; keep it, so that runs agree to the bit.
+
+    Raises StatisticsError if a factor holds a value that is not finite.
+    """
+    blocks, _, columns = factors_in_time_order.shape
+    if blocks == 0:
+        return np.zeros((columns, columns))
+    _require_finite("factors", factors_in_time_order)
+    merged: Array = _triangular(factors_in_time_order.reshape(1, -1, columns))[0]
+    return merged
+
+
+def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
+    """Return factors with the known flow as a path of its own, whose coefficient can be estimated.
+
+    `factors`: Shape (b, c, c); those that are returned, in which nothing is known, (b, c + 1, c +
+    1).
+    `place, coefficient`: Of the new column among the paths, and with which the path is in the known
+    flow.
+    """
+    moved = np.insert(factors, place, factors[:, :, -2] / coefficient, axis=2)
+    moved[:, :, -2] = 0.0
+    return _triangular(np.pad(moved, ((0, 0), (0, 1), (0, 0))))
+
+
+def _require_finite(what: str, values: Array) -> None:
+    if not np.isfinite(values).all():
+        raise StatisticsError(
+            "not_finite", f"{what} hold a value that is not finite; refuse it before"
+        )
+
+
+def _triangular(stacked: Array) -> Array:
+    """Return r of each matrix of a stack."""
+    return _positive(np.asarray(np.linalg.qr(stacked, mode="r")))
+
+
+def _positive(decomposed: Array) -> Array:
+    """Return upper triangles, with the signs that QR leaves open made positive."""
+    signs = np.where(np.diagonal(decomposed, axis1=1, axis2=2) < 0, -1.0, 1.0)
+    # Adding 0 turns -0 into 0: the same statistics have the same bytes.
+    result: Array = np.triu(decomposed) * signs[:, :, None] + 0.0
+    return result
+
+
+def criterion(r: Array, coefficients: Array) -> float:
+    """Mean squared prediction error V(θ), (20), from a factor [(l/min)²]; nan without samples."""
+    n = sample_count(r)
+    return float(squared_error(r, coefficients) / n) if n else float("nan")
+
+
+def squared_error(r: Array, coefficients: Array) -> float:
+    """Return sum of squared prediction errors ‖y − ŷ‖² [(l/min)²] from a factor."""
+    residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
+    return float(residual @ residual)
+
+
+def sample_count(r: Array) -> int:
+    """Return number of samples behind a factor: the squared norm of the column of ones."""
+    ones = r[:, -3]
+    return round(float(ones @ ones))
+
 
 Times = NDArray[np.int64]
 Stretch: TypeAlias = tuple[int, int]
@@ -27,6 +146,8 @@ TRAINING, VALIDATION, GUARD = "training", "validation", "guard"
 # Interleaved: this many blocks train and validate in turn (seven to three).
 INTERLEAVED = (7, 3)
 SECOND_US = 1_000_000
+# Errors below this share of the flow are rounding, in every analysis of them.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +336,9 @@ class CompressedSamples:
     blocks: tuple[Block, ...]  # blocks as they are stored
     factors: Array  # triangular factor of each, shape (b, c, c)
 
-    def factor_of(self, part: str | None = None) -> Array:
-        """Return the factor of the samples of a part, or of all."""
-        chosen = [part is None or block.part == part for block in self.blocks]
+    def factor_of(self, part: str) -> Array:
+        """Return the factor of the samples of a part."""
+        chosen = [block.part == part for block in self.blocks]
         return merge(self.factors[np.array(chosen, dtype=bool)])
 
     def rows_of(self, part: str) -> Mask:

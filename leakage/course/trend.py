@@ -1,7 +1,12 @@
-r"""Time until an indicator reaches a limit: many shapes of wear, and wear that comes in jumps.
+r"""A motor over its nights, for show: slope of an indicator, and time until it reaches a limit.
 
-A straight line holds for wear that is straight in the indicator, and for no other. So the course is
-a mixture of shapes over the position u, 0 at the first night and 1 in the newest night:
+**Slope.** Generalised least squares with autoregressive errors of the first order, in the transform
+of Prais and Winsten: φ from the residuals of ordinary least squares, corrected for its bias, φ^Δt
+across missing nights, and n − 3 degrees of freedom.
+
+**Time to a limit.** A straight line holds for wear that is straight in the indicator, and for no
+other. So the course is a mixture of shapes over the position u, 0 at the first night and 1 in the
+newest night:
 
 .. math::
     y = a + b f(u) + \varepsilon, \qquad
@@ -30,28 +35,156 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.special import gammaincc, ndtr
+from scipy.special import gammaincc, ndtr, stdtrit
 
-from leakage.arrays import Array
-from leakage.course.slope import (
-    HIGHEST_PHI,
-    LEAST_NIGHTS,
-    PARAMETERS,
-    CourseFits,
-    Nights,
-    correlation_to_previous,
-    estimated_phi,
-    variance_of_mean,
-    whitened,
-)
+from leakage.arrays import Array, Places
 
-TimeStatus: TypeAlias = Literal[
-    "finite", "not_before", "no_trend", "already_crossed", "beyond_horizon", "insufficient"
-]
+# Above this, a series of nights hardly differs from a trend.
+HIGHEST_PHI = 0.95
+# Pairs of residuals that an estimate of φ needs.
+LEAST_PAIRS = 10
+LEAST_NIGHTS = 20
+SURE_NIGHTS = 60
+# Parameters that cost a degree of freedom: level, slope and φ.
+PARAMETERS = 3
+# Scatter below this share of the values is rounding.
+RELATIVE_ROUNDING = 1e-12
+
+
+def whitened(columns: Array, phi: float, nights: Places) -> Array:
+    r"""Return columns, shape (n, k), whose errors no longer remember: Prais and Winsten [1]_.
+
+    .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
+
+    with ρ = φ^Δt. The errors keep their variance, which on uneven nights the usual form without the
+    root would not do.
+
+    References
+    ----------
+    .. [1] S. J. Prais and C. B. Winsten, "Trend estimators and serial correlation", Cowles
+       Commission Discussion Paper 383, 1954.
+    """
+    rho = phi ** np.diff(nights)[:, None]
+    result = columns.copy()
+    result[1:] = (columns[1:] - rho * columns[:-1]) / np.sqrt(1 - rho**2)
+    return result
+
+
+def estimated_phi(residuals: Array, nights: Places) -> float:
+    r"""Return correlation of neighbouring nights, from the residuals of a straight line.
+
+    The correlation of nights that follow each other at the commonest distance d is corrected for
+    what a fitted line takes away of it [1]_, and brought to one night:
+
+    .. math:: \hat\varphi = \Big(r_d + \frac{2 + 4 r_d}{n}\Big)^{1/d}, \qquad
+       0 \le \hat\varphi \le 0.95 .
+
+    0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
+
+    References
+    ----------
+    .. [1] P. Shaman and R. A. Stine, "The bias of autoregressive coefficient estimators",
+       *Journal of the American Statistical Association*, 83(403), 1988.
+    """
+    n = len(residuals)
+    spread = float(residuals @ residuals) / n if n else 0.0
+    distances = np.diff(nights)
+    if n <= LEAST_PAIRS or spread <= 0.0:
+        return 0.0
+    distance = int(np.argmax(np.bincount(distances)))
+    at = distances == distance
+    if int(at.sum()) < LEAST_PAIRS:
+        return 0.0
+    correlation = float(np.mean(residuals[1:][at] * residuals[:-1][at])) / spread
+    corrected = min(max(correlation + (2 + 4 * correlation) / n, 0.0), HIGHEST_PHI)
+    return float(min(corrected ** (1.0 / distance), HIGHEST_PHI))
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """A straight line through the nights of an indicator.
+
+    There is none below 20 nights or where all lie at one position, and no interval where they lie
+    on the line to within rounding.
+    """
+
+    n: int  # Nights that count.
+    # slope, lower, upper: Generalised least squares, and its 95 % interval [unit a unit of
+    # position].
+    slope: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+
+    @property
+    def is_provisional(self) -> bool:
+        """True if the interval rests on fewer than 60 nights."""
+        return self.lower is not None and self.n < SURE_NIGHTS
+
+
+def fit_slope(nights: Places, values: Array, position: Array) -> Slope:
+    """Return slope of an indicator over time or running hours, with an interval that holds.
+
+    Simulated coverage of 95 % intervals: 92 to 96 % for 60 nights or more and φ up to 0.6; 86 % for
+    20 nights and φ = 0.6, which is why those are provisional.
+
+    `nights, values`: Numbers of the nights, increasing, which say how far errors remember, and the
+    indicator, shape (n,); nights that are not finite do not count.
+    `position`: What the slope is per unit of, such as running hours, shape (n,).
+    """
+    known = np.isfinite(values)
+    n = int(known.sum())
+    nights, values, x = nights[known], values[known], position[known]
+    if n < LEAST_NIGHTS or not np.ptp(x) > 0.0:
+        return Slope(n)
+    columns = np.column_stack([np.ones(n), values, x - float(np.mean(x))])
+    line = CourseFits.of(columns)
+    residuals = line.residuals(0)
+    if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values))):
+        return Slope(n, float(line.slopes[0]))
+    line = CourseFits.of(whitened(columns, estimated_phi(residuals, nights), nights))
+    slope, errors, freedom = float(line.slopes[0]), line.residuals(0), n - PARAMETERS
+    error = math.sqrt(float(errors @ errors) / freedom / float(line.spans[0]))
+    half = float(stdtrit(freedom, 0.975)) * error
+    return Slope(n, slope, slope - half, slope + half)
+
+
+@dataclass(frozen=True, slots=True)
+class CourseFits:
+    """Least squares of a level and of each of some courses in turn.
+
+    `length` is the squared length of the column of the level, `level` and `middles` the means of
+    the values and of each course, weighted by it; `slopes` and `spans` each course's coefficient
+    and squared length about its middle; `centred`, shape (n, 1 + s), values and courses less the
+    part of the level.
+    """
+
+    length: float
+    level: float
+    middles: Array
+    slopes: Array
+    spans: Array
+    centred: Array
+
+    @classmethod
+    def of(cls, columns: Array) -> CourseFits:
+        """Regressions on columns of the level, the values and the courses, shape (n, 2 + s)."""
+        ones = columns[:, 0]
+        length = float(ones @ ones)
+        means = ones @ columns[:, 1:] / length
+        centred = columns[:, 1:] - np.outer(ones, means)
+        spans = np.einsum("ij,ij->j", centred[:, 1:], centred[:, 1:])
+        slopes = centred[:, 0] @ centred[:, 1:] / spans
+        return cls(length, float(means[0]), means[1:], slopes, spans, centred)
+
+    def residuals(self, course: int) -> Array:
+        """Return residuals of one of the courses, shape (n,)."""
+        left: Array = self.centred[:, 0] - self.slopes[course] * self.centred[:, 1 + course]
+        return left
+
 
 LOWEST, HIGHEST = 0.05, 0.95
 # Calibrated by simulation: few jumps tell badly how often they come.
@@ -84,7 +217,7 @@ class TimeToLimit:
     # earliest time is the horizon; ``already_crossed``: more likely at the limit than below;
     # ``no_trend``: more likely falling than rising; ``insufficient``: fewer than 20 nights, or all
     # at one position.
-    status: TimeStatus
+    status: str
     time: float | None = None  # As likely later as earlier; only of ``finite``.
     # lower, upper: Ends of the 90 % set; None where there is none.
     lower: float | None = None
@@ -92,7 +225,7 @@ class TimeToLimit:
 
 
 def time_to_limit(
-    nights: Nights, position: Array, values: Array, limit: float, horizon: float
+    nights: Places, position: Array, values: Array, limit: float, horizon: float
 ) -> TimeToLimit:
     """Return time until an indicator reaches a limit, if it goes on in a way that fits what it did.
 
@@ -170,14 +303,13 @@ def _squares(found: CourseFits) -> Array:
     return np.maximum(left, len(values) * ROUNDING**2)
 
 
-def _crossed_by_shape(nights: Nights, u: Array, y: Array, at: Array) -> tuple[Array, float]:
+def _crossed_by_shape(nights: Places, u: Array, y: Array, at: Array) -> tuple[Array, float]:
     """Return probability that a course has reached 1 at some positions, and that it rises."""
     freedom = len(u) - PARAMETERS
     columns = np.column_stack([np.ones(len(u)), y, _shapes(u).T])
     plain = CourseFits.of(columns)
     best = plain.residuals(int(np.argmin(_squares(plain))))
-    rho = correlation_to_previous(estimated_phi(best, nights), nights)
-    found = CourseFits.of(whitened(columns, rho))
+    found = CourseFits.of(whitened(columns, estimated_phi(best, nights), nights))
     squares = _squares(found)
     log_weights = np.log(_PRIOR / np.sqrt(found.spans))
     log_weights -= TEMPERING * freedom / 2.0 * np.log(squares)
@@ -237,4 +369,5 @@ def _variance_of_noise(gaps: Array, several: int) -> float:
     )
     first = max(first, ROUNDING**2)
     phi = min(max(second / first - 1.0, 0.0), HIGHEST_PHI)
-    return first / (2.0 * (1.0 - phi)) * variance_of_mean(phi, np.arange(several))
+    apart = np.abs(np.subtract.outer(np.arange(several), np.arange(several)))
+    return first / (2.0 * (1.0 - phi)) * float(np.mean(phi**apart))
