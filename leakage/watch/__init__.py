@@ -6,7 +6,7 @@ bottom up: `nights` (what goes in and comes out), `choices` (constants, with the
 from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution` (since,
 how much, which cause), `circuit` (beside the circuit's other motors), `state` (with the figures of
 the newest nights), `adoption` (a change detected, and what it leaves behind), `watch` (night by
-night), `checkpoint`, `comparison` (before and after a date).
+night), `comparison` (before and after a date), `intraday` (the night so far).
 """
 
 from leakage.watch.comparison import Comparison, compare

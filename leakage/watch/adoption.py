@@ -1,4 +1,4 @@
-"""A change detected by a night's evidence, and what it leaves: adoption, baseline periods, rest."""
+"""A change detected by a night's evidence, what it leaves, and events that are no border."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from leakage.arrays import Array
+from leakage.physics.oil import Oil, kinematic_viscosity_mm2_per_s
 from leakage.watch import choices
 from leakage.watch.attribution import (
     Attribution,
@@ -44,6 +45,7 @@ from leakage.watch.state import (
     NOTHING,
     UNCHANGED,
     ChangeInForce,
+    Crossing,
     WatchState,
     all_causes,
     change_in_force,
@@ -260,14 +262,15 @@ def begin(
         np.zeros(baseline.columns.n),
     )
     wander = wander_of(baseline, window, prior or WanderPrior())
+    causes = all_causes(machine, baseline, None)
     return WatchState(
         machine,
         settings,
         baseline,
         window,
-        Sums.of(window, wander),
+        Sums.of(window, wander, causes.basis),
         wander,
-        all_causes(machine, baseline),
+        causes,
         first_step=nights[-1].day + 1,
         first_ramp=nights[0].day,
         n_baseline=len(nights),
@@ -303,35 +306,97 @@ def _taken_for_granted(final: WatchState) -> WatchState:
         along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
         size = level.size.value
     flow = abs(size * of_flow)
-    start = state.place(attribution.start)
-    before, score = (part[0] for part in state.sums.before(np.array([start]), state.window))
     # Where several changed at once, each may have, one sign by half of it.
-    weights = (1.0 - several) * attribution.weights + several / 2.0 * causes.is_half
-    freed = np.eye(len(score)) + before @ _left_free(state, causes, weights, size, flow)
-    window = state.window.from_night(
-        start, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
-    )
+    weights = (1.0 - several) * attribution.weights + several / 2.0 * causes.is_half[STEP]
     # What rises on is of no baseline period yet: its own begins where it was detected.
     detected_on = now.change.detected_on
     period_from = (
         max(attribution.start, detected_on) if attribution.shape == RAMPS else attribution.start
     )
+    behind = _freed(
+        state,
+        state.place(attribution.start),
+        _left_free(state, causes, weights, size, flow),
+        back_as_before(along, size),
+        detected_on,
+    )
     return replace(
-        final,
-        window=window,
-        sums=Sums.of(window, state.wander),
-        causes=all_causes(
-            state.machine,
-            state.baseline,
-            [back_as_before(along, size)],
-        ),
-        first_step=detected_on + 1,
-        first_ramp=detected_on + 1,
-        due=0,
-        often=NOTHING,
+        behind,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
         in_force=replace(now, attribution=None, prior=None, settled=mean_change(final)),
     )
+
+
+def _freed(
+    state: WatchState, place: int, free: Array, undone: Cause | None, day: int
+) -> WatchState:
+    """Return the state of nights from a place on, before which all may have moved by a covariance.
+
+    No start of a change lies before the night that follows a day.
+    """
+    causes = all_causes(state.machine, state.baseline, undone)
+    before, score = (part[0] for part in state.sums.before(np.array([place]), state.window))
+    freed = np.eye(len(score)) + before @ free
+    window = state.window.from_night(
+        place, np.linalg.solve(freed, before), np.linalg.solve(freed, score)
+    )
+    return replace(
+        state,
+        window=window,
+        sums=Sums.of(window, state.wander, causes.basis),
+        causes=causes,
+        first_step=day + 1,
+        first_ramp=day + 1,
+        undone=undone,
+        due=0,
+        often=NOTHING,
+    )
+
+
+def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
+    """Return what data sheets and the viscosity law miss of a change of oil, relative to the flow.
+
+    σ = 0.2 |Δ ln ν| + 0.02 at a temperature.
+
+    Examples
+    --------
+    >>> from leakage.physics.oil import walther_coefficients
+    >>> constants = (882.0, 7.0e-4, 2.0e-8)
+    >>> vg_68, vg_46 = (
+    ...     Oil(name, *walther_coefficients(40.0, at_40, 100.0, at_100), *constants)
+    ...     for name, at_40, at_100 in (("VG 68", 68.0, 8.7), ("VG 46", 46.0, 6.8))
+    ... )
+    >>> oil_spread(vg_68, vg_68, 50.0), round(oil_spread(vg_68, vg_46, 50.0), 3)
+    (0.02, 0.092)
+    """
+    thick, thin = (
+        float(kinematic_viscosity_mm2_per_s(np.array([at_c]), oil.walther_a, oil.walther_b)[0])
+        for oil in (before, after)
+    )
+    return choices.OIL_LAW * abs(math.log(thick / thin)) + choices.OIL_SHEET
+
+
+def across_event(state: WatchState, machine: Machine, day: int, spread: float) -> WatchState:
+    """Return the state of nights from a day on, behind an event that may move the flow by a spread.
+
+    A dated event behind which a motor is the same one, as other oil, another meter or sensor, is no
+    border: what is known of the motor goes on, and the step in its night is the event's as far as
+    that is likely (model.md, 7c.6). No start of a change lies across it. A baseline period begins
+    with it once it has its nights.
+    """
+    in_force = state.in_force
+    if in_force is not None:
+        in_force = replace(in_force, attribution=None, prior=None)
+    state = replace(state, in_force=in_force)
+    now, state = present(state), replace(state, machine=machine)
+    p, flows = state.baseline.n_paths, state.baseline.leakage_flows
+    sd = np.full(len(flows), choices.LEFT_OF_SURFACE * spread)
+    sd[:p] = choices.LEFT_OF_PATHS * spread / state.baseline.share
+    sd[p : p + N_TEMPERATURE] = spread
+    free = spread**2 * np.outer(flows, flows) + np.diag(sd**2)
+    behind = _freed(state, len(state.window), free, None, day)
+    crossing = Crossing(day, spread, now)
+    return replace(behind, evidence=NOTHING, period_from=day, crossing=crossing)
 
 
 def _left_free(
@@ -361,7 +426,8 @@ def with_new_wander(state: WatchState) -> WatchState:
     dropped = state.n_nights - len(state.window)
     wander = wander_of(state.baseline, state.window, WanderPrior(), taken - dropped)
     due = math.ceil(so_far * choices.ANEW_FACTOR)
-    return replace(state, wander=wander, sums=Sums.of(state.window, wander), due=due)
+    sums = Sums.of(state.window, wander, state.causes.basis)
+    return replace(state, wander=wander, sums=sums, due=due)
 
 
 def new_period(state: WatchState, earlier: Earlier) -> WatchState:
@@ -377,17 +443,18 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
     size = math.sqrt(spread) / float(all_paths @ all_paths)
     period = begin(state.machine, nights, state.settings, WanderPrior(size, state.wander.memory))
     columns, old = period.baseline.columns, state.baseline.columns
-    back = np.zeros(columns.n)
-    back[:p] = (old.theta - columns.theta) / columns.unit
+    changed = np.zeros(columns.n)
+    changed[:p] = (columns.theta - old.theta) / columns.unit
+    undone = back_as_before(changed)
+    causes = all_causes(state.machine, period.baseline, undone)
     in_force = state.in_force
     if in_force is not None:
-        along = period.baseline.leakage_flows
-        in_force = replace(in_force, along=along, of_leakage=1.0)
+        in_force = replace(in_force, along=period.baseline.leakage_flows, of_leakage=1.0)
     return replace(
         period,
-        causes=all_causes(
-            state.machine, period.baseline, [Cause(BACK, back, 1.0, choices.BACK_SPREAD)]
-        ),
+        sums=Sums.of(period.window, period.wander, causes.basis),
+        causes=causes,
+        undone=undone,
         carried=on_first_baseline(state, slice(-len(nights), None)),
         evidence=state.evidence,
         in_force=in_force,
@@ -414,7 +481,8 @@ def shortened(state: WatchState) -> WatchState:
     first = len(state.window) - choices.WINDOW
     before, score = (part[0] for part in state.sums.before(np.array([first]), state.window))
     window = replace(state.window.from_night(first, before, score), odd=state.window.odd[first:])
-    return replace(state, window=window, sums=Sums.of(window, state.wander))
+    sums = Sums.of(window, state.wander, state.causes.basis)
+    return replace(state, window=window, sums=sums)
 
 
 def wander_of(

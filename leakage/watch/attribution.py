@@ -82,7 +82,7 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
     places = np.searchsorted(of_dates.cumsum() / of_dates.sum(), INTERVAL)
     since = days[starts[np.minimum(places, len(starts) - 1)]].tolist()
     # A size that the nights tell well is theirs, not the prior's.
-    is_own = (by_start.second * by_start.size**2 > choices.OWN_SIZE) & evidence.causes.is_half
+    is_own = (by_start.second * by_start.size**2 > choices.OWN_SIZE) & evidence.causes.is_half[STEP]
     value = np.where(is_own, by_start.first / by_start.second, by_start.size)
     sd = np.where(is_own, 1.0 / np.sqrt(by_start.second), by_start.sd)
     rise = np.ones((len(SHAPES), len(starts), 1))
@@ -212,8 +212,8 @@ def _between(
 ) -> tuple[Array, Array]:
     """Return W, shape (q, q), and w, shape (q,), of a start; the change's shape is uncertain."""
     window, p = evidence.window, baseline.n_paths
-    (of_after, *_), (of_score, _) = evidence.since(at)
-    after, score = of_after[0], of_score[0]
+    since = evidence.since(at)
+    after, score = since.information[0], since.score[0]
     before, score_before = (part[0] for part in evidence.sums.before(at, window))
     error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
     variance = np.full(len(score), error**2)
@@ -238,12 +238,12 @@ def _log_ratios(
     first = causes.directions.T @ score
     matrix = causes.directions.T @ change @ causes.directions
     second = np.maximum(np.diag(matrix), 1e-12)
-    mean, spread = causes.mean, causes.spread
+    mean, spread, is_half = causes.mean[STEP], causes.spread[STEP], causes.is_half[STEP]
     sd = 1.0 / np.sqrt(second + spread**-2)
     size = sd**2 * (first + mean / spread**2)
     gain = (size / sd) ** 2 - (mean / spread) ** 2
     width = np.log(sd / spread)
-    width += np.where(causes.is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
+    width += np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
     if with_several:
         of_several, log_width = _several(causes, first, matrix)
         gain = np.append(gain, of_several)
@@ -255,7 +255,7 @@ def _log_ratios(
 def _several(causes: Causes, first: Array, matrix: Array) -> tuple[float, float]:
     """Return twice the gain of ln likelihood of several causes at once, and ln of their width."""
     # Each that has two signs, by half of its prior's variance in either.
-    each = np.where(causes.is_half, causes.spread / math.sqrt(2.0), 0.0)
+    each = np.where(causes.is_half[STEP], causes.spread[STEP] / math.sqrt(2.0), 0.0)
     inner = np.eye(len(each)) + each[:, None] * matrix * each
     gain = float((each * first) @ np.linalg.solve(inner, each * first))
     return gain, -0.5 * float(np.linalg.slogdet(inner)[1])

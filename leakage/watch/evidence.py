@@ -8,8 +8,9 @@ size has a prior, half-normal or normal, which is integrated out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from leakage.watch.nights import RAMPS, STEPS
 from leakage.watch.wander import Wander, effective
 
 Places = NDArray[np.intp]
-POWERS = np.arange(3)  # Of the day, by which nights are weighted for ramps.
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,91 +68,113 @@ class Window:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Sums:
-    """Sums over a window's nights, each with its own shift of the paths, as far as asked for.
+class Parts(NamedTuple):
+    """Sums over nights: information, (…, q, q), scores, (…, q), and the same weighted by the day.
 
-    `nights` has what each says: information, with the score as its last column, shape
-    (2, q, q + 1). First with the shifts' covariance Q as it is, then times the inflation of a long
-    record: sums of correlated nights lie between. `weights` are 1, day and day², shape (n, 3);
-    `distance` has shape (n + 1,). `known` are sums of the first nights by their number, shape
-    (2, 3, q, q + 1): all of them of a year would be ten megabytes, and few are asked for.
+    With t the day, counted from the window's first, and B a basis of the causes' directions: Σ tAB,
+    (…, q, r), Σ tB'u, (…, r), and Σ t²B'AB, (…, r, r).
     """
 
-    nights: tuple[Array, ...]
-    weights: Array
-    distance: Array
-    known: dict[int, Array]
+    information: Array
+    score: Array
+    linear: Array
+    linear_score: Array
+    square: Array
 
     @classmethod
-    def of(cls, window: Window, wander: Wander) -> Sums:
-        """Return the sums over all nights of a window."""
-        q = window.score.shape[1]
-        nothing = np.zeros((2, len(POWERS), q, q + 1))
-        start = cls((), np.zeros((0, len(POWERS))), np.zeros(1), {0: nothing})
-        return start.extended(window, wander, 0)
+    def of_rows(cls, rows: Array, basis: Array) -> Parts:
+        """Return the parts of rows that hold them one behind the other, shape (…, m)."""
+        q, r = basis.shape
+        shapes = (q, q), (q,), (q, r), (r,), (r, r)
+        ends = np.cumsum([math.prod(shape) for shape in shapes])
+        parts = np.split(rows, ends[:-1], axis=-1)
+        return cls(
+            *(
+                part.reshape(*rows.shape[:-1], *shape)
+                for part, shape in zip(parts, shapes, strict=True)
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Sums over a window's first nights, each with its own shift of the paths, by their number.
+
+    `rows` hold the `Parts` of the first 0, 1, 2 … nights, shape (2, m) each: with the shifts'
+    covariance Q as it is, then times the inflation of a long record. Sums of correlated nights lie
+    between. `distance` has shape (n + 1,).
+    """
+
+    rows: tuple[Array, ...]
+    distance: Array
+    basis: Array
+
+    @classmethod
+    def of(cls, window: Window, wander: Wander, basis: Array) -> Sums:
+        """Return the sums over all nights of a window, for directions of a basis, (q, r)."""
+        q, r = basis.shape
+        nothing = np.zeros((2, q * (q + 1) + r * (q + 1 + r)))
+        return cls((nothing,), np.zeros(1), basis).extended(window, wander, 0)
 
     def extended(self, window: Window, wander: Wander, first: int) -> Sums:
         """Return the sums with the nights of a window from a place on."""
-        of_nights = np.stack(
-            [
-                effective(window.information[first:], window.score[first:], spread)
-                for spread in (wander.spread, wander.long_spread)
-            ],
-            axis=1,
-        )
+        day = (window.days[first:] - window.days[:1]).astype(float)[:, None]
+        rows = np.empty((len(day) + 1, *self.rows[-1].shape))
+        rows[0] = self.rows[-1]
+        for kind, spread in enumerate((wander.spread, wander.long_spread)):
+            nights = effective(window.information[first:], window.score[first:], spread)
+            along = nights[..., :-1] @ self.basis
+            parts = (
+                nights[..., :-1],
+                nights[..., -1],
+                day[..., None] * along,
+                day * (nights[..., None, :, -1] @ self.basis)[:, 0],
+                day[..., None] ** 2 * (self.basis.T @ along),
+            )
+            flat = [part.reshape(len(day), math.prod(part.shape[1:])) for part in parts]
+            rows[1:, kind] = np.concatenate(flat, axis=1)
         return Sums(
-            (*self.nights, *of_nights),
-            window.days[:, None].astype(float) ** POWERS,
+            (*self.rows, *rows.cumsum(axis=0)[1:]),
             np.append(self.distance, self.distance[-1] + window.distance[first:].cumsum()),
-            self.known.copy(),
+            self.basis,
         )
-
-    def of_first(self, numbers: Iterable[int]) -> Array:
-        """Return the sums of some numbers of first nights, shape (k, 2, 3, q, q + 1)."""
-        numbers = [int(number) for number in numbers]
-        for number in sorted(set(numbers).difference(self.known)):
-            begin = max(known for known in self.known if known < number)
-            total = self.known[begin].copy()
-            for place in range(begin, number):
-                total += self.nights[place][:, None] * self.weights[place][:, None, None]
-            self.known[number] = total
-        return np.stack([self.known[number] for number in numbers])
 
     def before(self, starts: Places, window: Window) -> tuple[Array, Array]:
         """Return what all nights before some starts say, shapes (k, q, q) and (k, q)."""
-        sums = self.of_first(starts)[:, 1, 0]
-        return window.before + sums[..., :-1], window.score_before + sums[..., -1]
+        q = len(self.basis)
+        sums = np.stack([self.rows[start][1, : q * (q + 1)] for start in starts])
+        information = sums[:, : q * q].reshape(-1, q, q)
+        return window.before + information, window.score_before + sums[:, q * q :]
 
-    def since(self, starts: Places, weights: Array, without: Places | None) -> Array:
-        """Return the sums from starts to the newest night, shape (3, k, q, q + 1).
+    def since(self, starts: Places, weights: Array, without: Places | None) -> Parts:
+        """Return the sums from starts to the newest night, (k, …).
 
         `weights` are those of the sums with Q as it is and of those with Q of a long record, shape
         (k, 2); `without` is a night that each start leaves out.
         """
-        since = self.of_first([len(self.nights)]) - self.of_first(starts)
+        since = self.rows[-1] - np.stack([self.rows[start] for start in starts])
         if without is not None:
-            since -= self.of_first(without + 1) - self.of_first(without)
-        mixed: Array = (weights[:, :, None, None, None] * since).sum(axis=1).swapaxes(0, 1)
-        return mixed
+            since -= np.stack([self.rows[night + 1] - self.rows[night] for night in without])
+        return Parts.of_rows((weights[:, None] @ since)[:, 0], self.basis)
 
 
 STEP, RAMP = 0, 1
 SHAPES = (STEPS, RAMPS)
+# Share of the largest direction below which one is a combination of others.
+RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """Causes as arrays: directions, shape (q, d), means and spreads of their sizes, shape (d,).
+    """Causes as arrays: directions, (q, d), an orthonormal basis of them, (q, r), and their sizes.
 
-    A rise and a fall have one axis, of `axes` of shape (q, a): its number and their signs, (d,).
+    Means, spreads and kinds of the sizes' priors have shape (2, d): of steps, and of a ramp's rise
+    in ten days.
     """
 
     every: tuple[Cause, ...]
     directions: Array
-    axes: Array
-    axis: Places
-    sign: Array
+    basis: Array
     mean: Array
     spread: Array
     is_half: Mask
@@ -160,29 +182,24 @@ class Causes:
     @classmethod
     def of(cls, every: Sequence[Cause]) -> Causes:
         directions = np.array([cause.direction for cause in every]).T
-        largest = np.abs(directions).argmax(axis=0)
-        sign = np.sign(directions[largest, np.arange(len(every))])
-        axes, axis = np.unique(directions * sign, axis=1, return_inverse=True)
+        left, size, _ = np.linalg.svd(directions, full_matrices=False)
+        mean, spread, is_half = (
+            np.array(values)
+            for values in zip(
+                *((cause.mean, cause.spread, cause.is_half) for cause in every), strict=True
+            )
+        )
         return cls(
             tuple(every),
             directions,
-            axes,
-            axis,
-            sign,
-            np.array([cause.mean for cause in every]),
-            np.array([cause.spread for cause in every]),
-            np.array([cause.is_half for cause in every]),
+            left[:, size > RANK_TOLERANCE * size[0]],
+            np.stack([mean, np.zeros_like(mean)]),
+            np.stack([spread, spread * (choices.RAMP_SIZE / choices.STEP_SIZE)]),
+            np.stack([is_half, np.ones_like(is_half)]),
         )
 
     def __len__(self) -> int:
         return len(self.every)
-
-    def prior(self, shape: int) -> tuple[Array, Array, Mask]:
-        """Return mean, spread and kind of the size's prior; of a ramp, of its rise in ten days."""
-        if shape == STEP:
-            return self.mean, self.spread, self.is_half
-        rise = choices.RAMP_SIZE / choices.STEP_SIZE
-        return np.zeros(len(self)), self.spread * rise, np.ones(len(self), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,41 +215,6 @@ class StartEvidence:
     sd: Array
     first: Array
     second: Array
-
-
-def _along(
-    axes: Array,
-    error: Array,
-    before: tuple[Array, Array],
-    linear: Array,
-    square: Array,
-    score: Array,
-) -> tuple[Array, Array]:
-    """Return T₁ and T₂ of all axes, shape (s, k, a), from A₋ and u₋ and sums weighted by s shapes.
-
-    Linear and square sums are those of A₊, scores those of u₊, of a step first. An error of the
-    paths since each start is left free: `error` is (E⁻¹ + A₊)⁻¹ of the paths, shape (k, p, p).
-    """
-    p, n_shapes = error.shape[1], len(linear)
-    across, of_paths = linear[0][:, :, :p], score[0][:, :p]
-    total = before[0] + linear[0] - across @ (error @ linear[0][:, :p, :])
-    taken = across @ (error @ of_paths[:, :, None])
-    whole = before[1] + score[0] - taken[:, :, 0]
-    along = linear @ axes
-    lost = error @ along[:, :, :p]
-    left = along - across @ lost
-    *solved, level = np.split(
-        np.linalg.solve(total, np.concatenate([*left, whole[:, :, None]], axis=2)),
-        np.arange(1, n_shapes + 1) * axes.shape[1],
-        axis=2,
-    )
-    first = score @ axes - (lost * of_paths[:, :, None]).sum(axis=2) - (left * level).sum(axis=2)
-    second = (
-        (axes * (square @ axes)).sum(axis=2)
-        - (along[:, :, :p] * lost).sum(axis=2)
-        - (left * np.stack(solved)).sum(axis=2)
-    )
-    return first, np.maximum(second, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,41 +242,52 @@ class Evidence:
         With `by_operation` the paths may err where the operating conditions are not the baseline's;
         `without` is a night that each start leaves out.
         """
-        (a0, a1, a2), (u0, u1) = self.since(starts, without)
-        # On its first night a ramp has risen by a day.
-        origin = (self.window.days[starts] - 1).astype(float)
-        by_vector, by_matrix, tens = origin[:, None], origin[:, None, None], choices.RAMP_DAYS
-        linear = (a1 - by_matrix * a0) / tens
-        square = (a2 - 2.0 * by_matrix * a1 + by_matrix**2 * a0) / tens**2
-        score = (u1 - by_vector * u0) / tens
-        causes = self.causes
-        first, second = _along(
-            causes.axes,
-            self._operating_error(starts, a0, is_free=by_operation),
-            self.sums.before(starts, self.window),
-            np.stack([a0, linear]),
-            np.stack([a0, square]),
-            np.stack([u0, score]),
-        )
-        first, second = causes.sign * first[..., causes.axis], second[..., causes.axis]
-        return self._weighed(first, second, starts)
+        first, second = self._along_basis(starts, without, by_operation=by_operation)
+        along = self.sums.basis.T @ self.causes.directions
+        second = np.maximum((along * (second @ along)).sum(axis=2), 1e-12)
+        return self._weighed(first @ along, second, starts)
 
     def second_of(self, direction: Array, start: int) -> float:
-        """Return T₂ of a step of a direction, shape (q,), at a start."""
-        starts = np.array([start])
-        (a0, *_), (u0, _) = self.since(starts)
-        _, second = _along(
-            direction[:, None],
-            self._operating_error(starts, a0, is_free=True),
-            self.sums.before(starts, self.window),
-            a0[None],
-            a0[None],
-            u0[None],
-        )
-        return float(second[0, 0, 0])
+        """Return T₂ of a step of a direction in the causes' span, shape (q,), at a start."""
+        _, second = self._along_basis(np.array([start]))
+        along = self.sums.basis.T @ direction
+        return max(float(along @ second[STEP, 0] @ along), 1e-12)
 
-    def since(self, starts: Places, without: Places | None = None) -> tuple[Array, Array]:
-        """Return information, (3, k, q, q), and scores, (2, k, q), by powers of the day."""
+    def _along_basis(
+        self, starts: Places, without: Places | None = None, *, by_operation: bool = True
+    ) -> tuple[Array, Array]:
+        """Return B'w, (2, k, r), and B'WB, (2, k, r, r), of steps and of ramps, B the basis.
+
+        An error of the paths since each start is left free: E at other operating conditions.
+        """
+        basis, since = self.sums.basis, self.since(starts, without)
+        information, score = since.information, since.score
+        error = self._operating_error(starts, information, is_free=by_operation)
+        p = error.shape[1]
+        across, of_paths = information[:, :, :p], score[:, :p, None]
+        before, score_before = self.sums.before(starts, self.window)
+        total = before + information - across @ (error @ information[:, :p])
+        whole = score_before + score - (across @ (error @ of_paths))[:, :, 0]
+        # On its first night a ramp has risen by a day.
+        origin = (self.window.days[starts] - self.window.days[0] - 1.0)[:, None, None]
+        tens, step = choices.RAMP_DAYS, information @ basis
+        along = np.stack([step, (since.linear - origin * step) / tens])
+        square = since.square - 2.0 * origin * (basis.T @ since.linear)
+        square += origin**2 * (basis.T @ step)
+        squares = np.stack([basis.T @ step, square / tens**2])
+        level = score @ basis
+        scores = np.stack([level, (since.linear_score - origin[:, 0] * level) / tens])
+        lost = error @ along[:, :, :p]
+        left = along - across @ lost
+        solved = np.linalg.solve(total, np.concatenate([*left, whole[:, :, None]], axis=2))
+        *rises, mean = np.split(solved, [len(basis[0]), 2 * len(basis[0])], axis=2)
+        first = scores - (lost * of_paths).sum(axis=2) - (left * mean).sum(axis=2)
+        second = squares - along[:, :, :p].swapaxes(2, 3) @ lost
+        second -= left.swapaxes(2, 3) @ np.stack(rises)
+        return first, second
+
+    def since(self, starts: Places, without: Places | None = None) -> Parts:
+        """Return the sums from some starts on, of correlated nights, shapes (k, …)."""
         n_nights = (len(self.window) - starts).astype(float)
         share = self.wander.share_of_short(n_nights)
         # At other operating conditions the model's error is that of all nights alike, those within
@@ -302,8 +295,7 @@ class Evidence:
         is_other = self.operates_otherwise(starts)
         inflated = 1.0 / self.wander.inflation(n_nights)
         weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
-        sums = self.sums.since(starts, np.stack(weights, axis=1), without)
-        return sums[..., :-1], sums[:2, ..., -1]
+        return self.sums.since(starts, np.stack(weights, axis=1), without)
 
     def operates_otherwise(self, starts: Places) -> Mask:
         """Return whether starts' nights have other conditions than the baseline's, (k,)."""
@@ -337,16 +329,16 @@ class Evidence:
 
     def _weighed(self, first: Array, second: Array, starts: Places) -> StartEvidence:
         """Return likelihood ratios of T₁ and T₂, the sizes integrated out."""
-        priors = [self.causes.prior(shape) for shape in (STEP, RAMP)]
-        mean = np.stack([prior[0] for prior in priors])[:, None, :]
-        spread = np.stack([prior[1] for prior in priors])[:, None, :]
-        is_half = np.stack([prior[2] for prior in priors])[:, None, :]
+        causes = self.causes
+        mean, spread, is_half = (
+            values[:, None] for values in (causes.mean, causes.spread, causes.is_half)
+        )
         sd = 1.0 / np.sqrt(second + spread**-2)
         size = sd**2 * (first + mean / spread**2)
         gain = (size / sd) ** 2 - (mean / spread) ** 2
         one_sided = np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
         log_ratio = 0.5 * self.tempered(gain, starts) + np.log(sd / spread) + one_sided
-        log_ratio -= math.log(len(self.causes) * len(SHAPES))
+        log_ratio -= math.log(len(causes) * len(SHAPES))
         is_early = starts < self.first_step
         log_ratio[STEP, is_early] = -np.inf
         if self.n_nights == len(self.window):

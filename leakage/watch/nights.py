@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from scipy.special import ndtr, ndtri
 
 from leakage.arrays import Array
-from leakage.errors import ShapeError
 from leakage.watch import choices
 
 DAYS_A_YEAR = 365.0
@@ -33,8 +32,6 @@ class NightBlocks:
     `flow`: Mean measured flow, shape (b,), [l/min].
     `conditions`: Mean oil temperature [°C], size of the pressure difference [bar] and of the speed
     [rpm], shape (b, 3).
-
-    Raises ShapeError if the arrays are not of one number of blocks, or there is no block.
     """
 
     day: int
@@ -42,14 +39,6 @@ class NightBlocks:
     drives: Array
     flow: Array
     conditions: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.middle_s)
-        shapes = self.drives.shape[:1], self.flow.shape, self.conditions.shape
-        if not n or shapes != ((n,), (n,), (n, 3)):
-            raise ShapeError(
-                "night_blocks", f"a night of {n} blocks has arrays of shapes {shapes}; give one row"
-            )
 
 
 @dataclass(frozen=True, slots=True)

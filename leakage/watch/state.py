@@ -8,8 +8,8 @@ the unknowns badly, and a season would be taken for a change.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
 from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
 from leakage.watch.circuit import CircuitChange
-from leakage.watch.evidence import Causes, Evidence, Sums, Window
+from leakage.watch.evidence import Causes, Evidence, Parts, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
     KNOWN,
@@ -51,17 +51,16 @@ def surroundings(
 
     What rises evenly is wear, or none: it is not taken for an effect of a season.
     """
-    q = len(direction)
+    q, along = len(direction), sums.basis.T @ direction
     before, score = (part[0] for part in sums.before(np.array([end]), window))
-    day = float(window.days[max(end - 1, 0)])
-    cumulative = sums.of_first([end])[0, 1]
-    (a0, a1, a2), (u0, u1, _) = cumulative[..., :-1], cumulative[..., -1]
-    tens = choices.RAMP_DAYS
-    linear = (a1 - day * a0) @ direction / tens
-    square = float(direction @ (a2 - 2.0 * day * a1 + day**2 * a0) @ direction) / tens**2
-    whole = np.block([[before, linear[:, None]], [linear[None], np.array([[square]])]])
+    day = float(window.days[max(end - 1, 0)] - window.days[0])
+    so_far, tens = Parts.of_rows(sums.rows[end][1], sums.basis), choices.RAMP_DAYS
+    level, rise = so_far.information @ direction, so_far.linear @ along
+    linear = (rise - day * level) / tens
+    square = along @ so_far.square @ along - day * direction @ (2.0 * rise - day * level)
+    whole = np.block([[before, linear[:, None]], [linear[None], np.array([[square / tens**2]])]])
     whole[q, q] += choices.RAMP_SIZE**-2
-    line = float((u1 - day * u0) @ direction) / tens
+    line = float(so_far.linear_score @ along - day * so_far.score @ direction) / tens
     covariance = np.linalg.inv(whole)
     mean = (covariance @ np.append(score, line))[:q]
     levelled = np.eye(q) - np.outer(direction, own_row) / float(own_row @ direction)
@@ -123,9 +122,9 @@ class Level:
         return Estimate(float(weights @ self.value), math.sqrt(variance))
 
 
-def all_causes(machine: Machine, baseline: Baseline, undone: Sequence[Cause] = ()) -> Causes:
-    """Return causes of a motor, and those that undo what was adopted."""
-    return Causes.of([*causes_of(machine, baseline), *undone])
+def all_causes(machine: Machine, baseline: Baseline, undone: Cause | None) -> Causes:
+    """Return causes of a motor, and the one that undoes what was adopted, if anything was."""
+    return Causes.of([*causes_of(machine, baseline), *([undone] if undone else [])])
 
 
 NOTHING = -math.inf
@@ -165,7 +164,7 @@ class Crossing:
     before: Estimate
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: what a night's figures share is worked out once
 class WatchState:
     """What is kept of a motor."""
 
@@ -193,6 +192,7 @@ class WatchState:
     carried: Estimate = UNCHANGED
     in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
     crossing: Crossing | None = None  # The event that the baseline period has behind it, if any.
+    undone: Cause | None = None  # The cause that undoes what was adopted, if anything was.
 
     @property
     def day(self) -> int:
@@ -208,8 +208,23 @@ class WatchState:
         """Return place of the first night from a day on."""
         return int(np.searchsorted(self.window.days, day))
 
-    def level_along(self, direction: Array, nights: slice = EVERY, end: int | None = None) -> Level:
-        """Return λ of some of the window's nights along a direction of shape (q,).
+    @property
+    def along(self) -> Array:
+        """What the level is taken along, shape (q,)."""
+        return self.baseline.leakage_flows if self.in_force is None else self.in_force.along
+
+    @property
+    def of_leakage(self) -> float:
+        """What a unit of it is of the leakage."""
+        return 1.0 if self.in_force is None else self.in_force.of_leakage
+
+    @cached_property
+    def level(self) -> Level:
+        """λ of all nights along that direction."""
+        return self.level_along(self.along)
+
+    def level_along(self, direction: Array, end: int | None = None) -> Level:
+        """Return λ of all nights along a direction of shape (q,).
 
         Beside the surroundings before a place: where none is given, that of a change in force.
         """
@@ -218,20 +233,55 @@ class WatchState:
             settling = self.in_force.attribution if self.in_force is not None else None
             end = len(window) if settling is None else self.place(settling.start)
         around = surroundings(window, self.sums, baseline.own_row, direction, end)
-        along = window.information[nights] @ direction
+        along = window.information @ direction
         weight = np.maximum(along @ direction, 1e-12)
         gain = along / weight[:, None]
         of_paths = gain[:, : baseline.n_paths]
         return Level(
-            window.score[nights] @ direction / weight - gain @ around.mean,
+            window.score @ direction / weight - gain @ around.mean,
             1.0 / weight + (choices.LEVEL_BY_LACK * baseline.lack_of_fit) ** 2,
             np.einsum("ni,ij,nj->n", of_paths, wander.spread, of_paths),
             gain,
-            np.clip(window.distance[nights] - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
+            np.clip(window.distance - choices.OPERATING_FREE, 0.0, choices.OPERATING_MOST),
             around,
             wander,
             baseline.operating_error,
         )
+
+    @cached_property
+    def smallest(self) -> float | None:
+        """The smallest change of all flows, begun ten nights ago, that would be detected now.
+
+        Where fewer nights may hold a change, of one begun in the first of them; None where none
+        may.
+        """
+        evidence = self.evidence_now()
+        start = max(evidence.first_step, len(self.window) - choices.PRESENT_NIGHTS)
+        if start == len(self.window):
+            return None
+        second = evidence.second_of(self.baseline.leakage_flows, start)
+        spread, n_since = choices.STEP_SIZE, np.array([len(self.window) - start], dtype=float)
+        freedom = float(self.wander.degrees_of_freedom(self.n_nights, n_since)[0])
+        sd = 1.0 / math.sqrt(second + spread**-2)
+        fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(evidence.causes))
+        gain = freedom * math.expm1(2.0 * (self.settings.limit - fixed) / (freedom + 1.0))
+        return math.sqrt(gain) * sd
+
+    @cached_property
+    def event_step(self) -> Estimate:
+        """What the event behind which the nights lie has moved (model.md, 7c.6).
+
+        Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
+        """
+        crossing = self.crossing
+        if crossing is None or not len(self.window):
+            return UNCHANGED
+        level = self.level_along(self.baseline.leakage_flows).mean()
+        grown = (1.0 + self.carried.value) * (1.0 + level.value)
+        step = grown / (1.0 + crossing.before.value) - 1.0
+        own = choices.OWN_STEP**2 + level.sd**2 + crossing.before.sd**2
+        share = crossing.spread**2 / (crossing.spread**2 + own)
+        return Estimate(share * step, crossing.spread * math.sqrt(1.0 - share))
 
     def growth_of(self, cause: str, flow: Estimate) -> Estimate | None:
         """Return relative change of a named path's own flow, from that of all.
@@ -262,13 +312,6 @@ class WatchState:
         )
 
 
-def direction(state: WatchState) -> tuple[Array, float]:
-    """Return what the level is taken along, and what a unit of it is of the leakage."""
-    if state.in_force is None:
-        return state.baseline.leakage_flows, 1.0
-    return state.in_force.along, state.in_force.of_leakage
-
-
 def _n_present(state: WatchState) -> int:
     """Return nights behind the present change: those since it, ten at most."""
     if state.in_force is None:
@@ -281,31 +324,14 @@ def _n_present(state: WatchState) -> int:
 
 def on_first_baseline(state: WatchState, nights: slice) -> Estimate:
     """Return the change of the leakage over some nights, against the first baseline (7c.3)."""
-    change, step = _as_measured(state, nights), event_step(state)
+    change, step = _as_measured(state, nights), state.event_step
     ratio = (1.0 + change.value) / (1.0 + step.value)
     return Estimate(ratio - 1.0, math.hypot(change.sd, ratio * step.sd) / (1.0 + step.value))
 
 
-def event_step(state: WatchState) -> Estimate:
-    """Return what the event behind which the nights lie has moved (model.md, 7c.6).
-
-    Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
-    """
-    crossing = state.crossing
-    if crossing is None or not len(state.window):
-        return UNCHANGED
-    level = state.level_along(state.baseline.leakage_flows).mean()
-    grown = (1.0 + state.carried.value) * (1.0 + level.value)
-    step = grown / (1.0 + crossing.before.value) - 1.0
-    own = choices.OWN_STEP**2 + level.sd**2 + crossing.before.sd**2
-    share = crossing.spread**2 / (crossing.spread**2 + own)
-    return Estimate(share * step, crossing.spread * math.sqrt(1.0 - share))
-
-
 def _as_measured(state: WatchState, nights: slice) -> Estimate:
     """Return the same, with what an event has moved."""
-    along, of_leakage = direction(state)
-    level = state.level_along(along, nights).mean().scaled(of_leakage)
+    level = state.level.mean(nights).scaled(state.of_leakage)
     grown = 1.0 + state.carried.value
     # The flushing that is not known scales a change of the leakage.
     own_sd = math.hypot(level.sd, level.value * state.baseline.leakage_share_error)
@@ -318,31 +344,12 @@ def present(state: WatchState) -> Estimate:
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
-def detection_limit(state: WatchState) -> float | None:
-    """Return the smallest change, begun ten nights ago, that would be detected now.
-
-    Of all flows. Where fewer nights may hold a change, of one begun in the first of them; None
-    where none may.
-    """
-    evidence = state.evidence_now()
-    start = max(evidence.first_step, len(state.window) - choices.PRESENT_NIGHTS)
-    if start == len(state.window):
-        return None
-    second = float(evidence.second_of(state.baseline.leakage_flows, start))
-    spread, n_since = choices.STEP_SIZE, np.array([len(state.window) - start], dtype=float)
-    freedom = float(state.wander.degrees_of_freedom(state.n_nights, n_since)[0])
-    sd = 1.0 / math.sqrt(second + spread**-2)
-    fixed = math.log(2.0 * sd / spread) - math.log(2.0 * len(evidence.causes))
-    gain = freedom * math.expm1(2.0 * (state.settings.limit - fixed) / (freedom + 1.0))
-    return math.sqrt(gain) * sd
-
-
 def nights_beyond(state: WatchState) -> int:
     """Return how many newest nights are wholly beyond the detection limit, on one side (7c.8).
 
     Two at most; none while a change is in force.
     """
-    limit = detection_limit(state)
+    limit = state.smallest
     if limit is None or state.in_force is not None:
         return 0
     last = len(state.window)
@@ -377,11 +384,9 @@ def mean_change(state: WatchState) -> Estimate:
 
 def _since_before(state: WatchState, start: int) -> Estimate:
     """Return the change of the leakage from a day on, against ten nights before at most."""
-    along, of_leakage = direction(state)
     place, most = state.place(start), choices.PRESENT_NIGHTS
-    after = slice(max(place, len(state.window) - most), None)
-    level = state.level_along(along)
-    change = level.difference(after, slice(max(0, place - most), place)).scaled(of_leakage)
+    after, before = slice(max(place, len(state.window) - most), None), max(0, place - most)
+    change = state.level.difference(after, slice(before, place)).scaled(state.of_leakage)
     return Estimate(
         change.value, math.hypot(change.sd, change.value * state.baseline.leakage_share_error)
     )
@@ -413,7 +418,7 @@ def probability_back(state: WatchState) -> float:
     now, before = present(state), in_force.before.value
     if before * (now.value - before) >= 0.0 or abs(now.value) >= abs(before):
         return 0.0
-    limit = detection_limit(state) or 0.0
+    limit = state.smallest or 0.0
     return now.probability_above(-limit) - now.probability_above(limit)
 
 

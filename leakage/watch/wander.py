@@ -117,31 +117,36 @@ def estimate_wander(
     prior_information: Array,
     prior: WanderPrior,
 ) -> Wander:
-    """Return Q and φ of some nights, from their information, scores and days."""
-    n, p = len(information), len(all_paths)
+    """Return Q and φ of some nights, from their information, scores and days.
+
+    All unknowns, and a line in time of each path, stand beside the shifts: slow wear is no wander.
+    """
+    n, p, q = len(information), len(all_paths), len(prior_information)
     usual = _usual_spread(all_paths, prior)
     spread = usual
-    lines, prior_information = _with_lines(days, prior_information, p)
+    times = (days - days.mean()) / choices.RAMP_DAYS
+    certain_before = block_diag(prior_information, np.eye(p) * choices.LINE_PRIOR**-2)
     for _ in range(MOST_PASSES):
-        effective_nights = effective(information, score, spread)
-        night_information, night_score = effective_nights[..., :-1], effective_nights[..., -1]
-        beside = lines.swapaxes(1, 2)
-        certain = np.linalg.inv(
-            (beside @ night_information @ lines).sum(axis=0) + prior_information
-        )
-        mean = lines @ (certain @ (beside @ night_score[..., None]).sum(axis=0)[:, 0])
-        shifts = _squared_shifts(information, score, spread, mean, lines, certain)
+        nights = effective(information, score, spread)
+        by_power = np.tensordot(times ** np.arange(3)[:, None], nights, 1)
+        level, line, square = by_power[..., :-1]
+        whole = np.block([[level, line[:, :p]], [line[:p], square[:p, :p]]])
+        certain = np.linalg.inv(whole + certain_before).astype(np.float64)
+        found = certain @ np.concatenate([by_power[0, :, -1], by_power[1, :p, -1]])
+        mean = np.repeat(found[None, :q], n, axis=0)
+        mean[:, :p] += times[:, None] * found[q:]
+        shifts = _squared_shifts(information, score, spread, mean, times, certain)
         new = (shifts.sum(axis=0) + choices.WANDER_NIGHTS * usual) / (n + choices.WANDER_NIGHTS)
         moved = np.abs(new - spread).max() / np.abs(new).max()
         spread = new
         if moved < CONVERGED:
             break
-    memory = _memory(night_information, night_score, mean, days, all_paths, prior)
+    memory = _memory(nights, mean, days, all_paths, prior)
     spread = _of_correlated(spread, usual, days, memory)
     # What nights tell of all paths together.
-    of_flow = spread @ (night_information[:, :p, :p].mean(axis=0) @ all_paths)
-    within = night_information[:, :p, :p].mean(axis=0) @ all_paths @ of_flow
-    return Wander(spread, memory, np.outer(of_flow, of_flow) / within)
+    of_night = nights[:, :p, :p].mean(axis=0) @ all_paths
+    of_flow = spread @ of_night
+    return Wander(spread, memory, np.outer(of_flow, of_flow) / (of_night @ of_flow))
 
 
 def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory: Array) -> Array:
@@ -165,20 +170,6 @@ def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
         yield share * phi**apart + (1.0 - share) * np.eye(len(days))
 
 
-def _with_lines(
-    days: NDArray[np.int64], prior_information: Array, n_paths: int
-) -> tuple[Array, Array]:
-    """Return what all unknowns and a line in time of each path do in each night, and their prior.
-
-    Slow wear is no wander.
-    """
-    q = len(prior_information)
-    times = (days - days.mean()) / choices.RAMP_DAYS
-    every = np.broadcast_to(np.eye(q), (len(days), q, q))
-    lines = np.concatenate([every, times[:, None, None] * every[:, :, :n_paths]], axis=2)
-    return lines, block_diag(prior_information, np.eye(n_paths) * choices.LINE_PRIOR**-2)
-
-
 def _usual_spread(all_paths: Array, prior: WanderPrior) -> Array:
     own = np.diag(np.maximum(all_paths, LEAST_WEIGHT) ** 2)
     common = np.outer(all_paths, all_paths)
@@ -188,37 +179,29 @@ def _usual_spread(all_paths: Array, prior: WanderPrior) -> Array:
 
 
 def _squared_shifts(
-    information: Array,
-    score: Array,
-    spread: Array,
-    mean: Array,
-    lines: Array,
-    certain: Array,
+    information: Array, score: Array, spread: Array, mean: Array, times: Array, certain: Array
 ) -> Array:
     """Return expected outer products of the nights' shifts, (n, p, p); the mean is uncertain."""
     p = len(spread)
     inner = np.linalg.inv(np.linalg.inv(spread) + information[:, :p, :p])
     rest = score[:, :p] - (information[:, :p] @ mean[:, :, None])[:, :, 0]
     shift = (inner @ rest[:, :, None])[:, :, 0]
-    lever = inner @ information[:, :p] @ lines
+    lever = inner @ information[:, :p]
+    lever = np.concatenate([lever, times[:, None, None] * lever[:, :, :p]], axis=2)
     uncertain = inner + lever @ certain @ lever.swapaxes(1, 2)
     squared: Array = uncertain + shift[:, :, None] * shift[:, None, :]
     return squared
 
 
 def _memory(
-    night_information: Array,
-    night_score: Array,
-    mean: Array,
-    days: NDArray[np.int64],
-    all_paths: Array,
-    prior: WanderPrior,
+    nights: Array, mean: Array, days: NDArray[np.int64], all_paths: Array, prior: WanderPrior
 ) -> Array:
     """Return probabilities of the memories by the levels of the common direction, shape (g,).
 
     By restricted likelihood, the variance profiled out.
     """
-    n, p = len(night_information), len(all_paths)
+    n, p = len(nights), len(all_paths)
+    night_information, night_score = nights[..., :-1], nights[..., -1]
     weight = np.einsum("nij,i,j->n", night_information[:, :p, :p], all_paths, all_paths)
     root = np.sqrt(np.maximum(weight, 1e-12))
     level = (

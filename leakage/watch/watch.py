@@ -7,17 +7,20 @@ adopted, and the watch goes on behind it.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
+from functools import cache
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.errors import EstimationError
-from leakage.watch import checkpoint, choices
+from leakage.watch import choices
 from leakage.watch.adoption import (
     Earlier,
+    across_event,
     adopted,
     at_rest,
     begin,
@@ -30,18 +33,20 @@ from leakage.watch.adoption import (
 )
 from leakage.watch.causes import ODD_NIGHTS
 from leakage.watch.circuit import circuit_change
-from leakage.watch.events import across_event
+from leakage.watch.evidence import Sums
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.state import (
     WatchState,
+    all_causes,
     change_in_force,
-    detection_limit,
-    direction,
     mean_change,
     nights_beyond,
     on_first_baseline,
     reported_change,
 )
+
+# Fields of a state that are given, or made of the others.
+NOT_STORED = ("machine", "settings", "sums", "causes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +59,7 @@ class Watch:
     def begin(
         cls, machine: Machine, nights: Sequence[NightBlocks], settings: WatchSettings
     ) -> Watch:
-        """Return the watch after the nights of its baseline, in order.
-
-        Raises EstimationError if there are fewer nights than a baseline needs.
-        """
-        if len(nights) < settings.baseline_nights:
-            raise EstimationError(
-                "watch_baseline",
-                f"{len(nights)} nights; a baseline needs {settings.baseline_nights}",
-            )
+        """Return the watch after the nights of its baseline, in order."""
         return cls(begin(machine, nights, settings))
 
     @property
@@ -127,7 +124,7 @@ class Watch:
             change,
             on_first_baseline(state, slice(-1, None)),
             mean_change(state),
-            detection_limit(state),
+            state.smallest,
             nights_beyond(state) > 0,
         )
 
@@ -164,10 +161,8 @@ class Watch:
         left out; `conditions` are temperature [°C], pressure [bar] and speed [rpm], shape (3,).
         """
         state, (row, flow) = self.state, self._row_at(drives, conditions)
-        along, _ = direction(state)
-        levels = state.level_along(along, slice(-1, None))
-        level, of_cause = levels.mean(), float(row @ along)
-        as_first = 1.0 + float(row @ (state.baseline.unknowns + levels.around.mean))
+        level, of_cause = state.level.mean(slice(-1, None)), float(row @ state.along)
+        as_first = 1.0 + float(row @ (state.baseline.unknowns + state.level.around.mean))
         before, _ = state.sums.before(np.array([len(state.window)]), state.window)
         uncertain = float(row @ np.linalg.solve(before[0], row))
         grown = as_first + level.value * of_cause
@@ -190,15 +185,18 @@ class Watch:
         return row, float(expected[0])
 
     def arrays(self) -> dict[str, Array]:
-        """Return numbers to keep, by name."""
-        return checkpoint.arrays_of(self.state)
+        """Return numbers to store, by name."""
+        return _packed("state", self.state)
 
     @classmethod
     def of_arrays(
-        cls, machine: Machine, settings: WatchSettings, arrays: Mapping[str, Array]
+        cls, machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any]
     ) -> Watch:
-        """Return the watch that was kept."""
-        return cls(checkpoint.state_of(machine, settings, arrays))
+        """Return the watch that was stored."""
+        stored = _unpacked(WatchState, "state", arrays)
+        causes = all_causes(machine, stored["baseline"], stored["undone"])
+        sums = Sums.of(stored["window"], stored["wander"], causes.basis)
+        return cls(WatchState(machine, settings, sums=sums, causes=causes, **stored))
 
 
 def with_night(state: WatchState, night: NightBlocks) -> WatchState:
@@ -208,3 +206,43 @@ def with_night(state: WatchState, night: NightBlocks) -> WatchState:
     window = state.window.with_night(night.day, information, score, distance)
     sums = state.sums.extended(window, state.wander, len(window) - 1)
     return replace(state, window=window, sums=sums, n_nights=state.n_nights + 1)
+
+
+def _packed(name: str, part: Any) -> dict[str, Any]:
+    """Return arrays of a dataclass and of those in it by name; all else as bytes of a text."""
+    packed: dict[str, Any] = {}
+    words: dict[str, Any] = {}
+    for field in _parts_of(part.__class__):
+        value, own = getattr(part, field), f"{name}.{field}"
+        if isinstance(value, np.ndarray):
+            packed[own] = value
+        elif is_dataclass(value):
+            packed |= _packed(own, value)
+        else:
+            words[field] = value
+    return {name: np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)} | packed
+
+
+def _unpacked(kind: Any, name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a dataclass, by name."""
+    values: dict[str, Any] = json.loads(bytes(arrays[name]))
+    for field, part in _parts_of(kind).items():
+        own, value = f"{name}.{field}", values.get(field)
+        if isinstance(value, list):
+            values[field] = tuple(value)
+        elif field not in values:
+            values[field] = part(**_unpacked(part, own, arrays)) if part else arrays[own]
+    return values
+
+
+@cache
+def _parts_of(kind: Any) -> dict[str, Any]:
+    """Return the stored fields, and the dataclass that each is or may be; None of the others.
+
+    Cached, as a night of a thousand motors asks for the same hints seven thousand times.
+    """
+    return {
+        field: next((part for part in (hint, *get_args(hint)) if is_dataclass(part)), None)
+        for field, hint in get_type_hints(kind).items()
+        if field not in NOT_STORED
+    }

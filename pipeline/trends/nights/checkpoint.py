@@ -26,7 +26,7 @@ from pipeline.trends.nights.history import RECORD, Records
 from pipeline.trends.nights.trend_record import trend_hash
 
 # Raise it when a watch is stored as other arrays.
-CHECKPOINT_VERSION = 4
+CHECKPOINT_VERSION = 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
+from leakage.watch.adoption import oil_spread
 from leakage.watch.causes import NO_LEAKAGE
 from leakage.watch.choices import LEAKAGE_BY_LACK, METER_SPREAD, SENSOR_SPREAD
-from leakage.watch.events import oil_spread
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions

@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 # So many nights that Q is as good as known: no allowance for its being an estimate.
 KNOWN = 10**9
 P, Q_UNKNOWNS, BLOCKS = 2, 4, 5
-DAYS = np.array([100, 101, 102, 105, 106, 107])
+# Numbers of dates, as they are given: their squares leave no digits for a ramp of a few days.
+DAYS = 739_000 + np.array([100, 101, 102, 105, 106, 107])
 # The last three nights have other operating conditions.
 DISTANCE = np.array([0.5, 1.0, 0.7, 3.0, 2.5, 6.0])
 OPERATING_ERROR = np.array([0.02, 0.05])
@@ -89,8 +90,9 @@ class Dense:
             np.zeros(Q_UNKNOWNS),
         )
         wander = Wander(SPREAD, one_memory(serial), SPREAD)
-        sums = Sums.of(window, wander)
-        return Evidence(window, sums, wander, Causes.of(CAUSES), OPERATING_ERROR, n_nights, 1)
+        causes = Causes.of(CAUSES)
+        sums = Sums.of(window, wander, causes.basis)
+        return Evidence(window, sums, wander, causes, OPERATING_ERROR, n_nights, 1)
 
     def covariance(self, start: int, serial: float, *, by_operation: bool) -> Array:
         """Of all blocks without a change.
