@@ -108,7 +108,7 @@ def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
     for slow in (NOT_SLOW, replace(NOT_SLOW, memory=0.9, evidence=20.0)):
         _, found, _ = judged(slow=slow)
         halves.append(found.coefficients[0].interval.half_width)
-    assert halves[1] == pytest.approx(1.25 * halves[0])
+    assert halves[1] / halves[0] == pytest.approx(1.25)
 
 
 @pytest.mark.parametrize(
@@ -382,10 +382,10 @@ def test_it_equals_the_sandwich_written_out_over_the_samples(sizes: tuple[int, .
     for contrast in (*np.eye(4), np.array([1e10, 2e11, -1e12, 0.5])):
         error, freedom = sandwich_over_samples(z, borders, theta, contrast)
         interval = distribution.interval(contrast)
-        assert interval.standard_error == pytest.approx(error, rel=1e-7)
+        assert interval.standard_error == pytest.approx(error, rel=1e-7, abs=0.0)
         assert interval.degrees_of_freedom == pytest.approx(freedom, rel=1e-7)
         quantile = student_t.ppf(0.975, freedom)
-        assert interval.half_width == pytest.approx(quantile * error, rel=1e-7)
+        assert interval.half_width == pytest.approx(quantile * error, rel=1e-7, abs=0.0)
     nothing = Interval(0.0, 0.0, len(sizes) - 1.0, largest_block_share=0.0)
     assert distribution.interval(np.zeros(4)) == nothing
 
@@ -395,7 +395,7 @@ def test_covariance_and_inflation_agree_with_their_definitions() -> None:
     theta = least_squares(z)
     distribution = robust(z, borders)
     errors = [sandwich_over_samples(z, borders, theta, unit)[0] for unit in np.eye(4)]
-    assert np.sqrt(np.diag(distribution.covariance())) == pytest.approx(errors, rel=1e-7)
+    assert np.sqrt(np.diag(distribution.covariance())) == pytest.approx(errors, rel=1e-7, abs=0.0)
     unit = z[:, :-2] / np.linalg.norm(z[:, :-2], axis=0)
     inflation = np.diag(np.linalg.inv(unit.T @ unit))
     assert distribution.variance_inflation() == pytest.approx(inflation, rel=1e-9)
@@ -411,5 +411,5 @@ def test_only_what_dependent_columns_span_has_an_interval() -> None:
     error, _ = sandwich_over_samples(
         reduced, borders, least_squares(reduced), np.array([1.0, 0, 0])
     )
-    assert together.standard_error == pytest.approx(error, rel=1e-6)
+    assert together.standard_error == pytest.approx(error, rel=1e-6, abs=0.0)
     assert np.isinf(distribution.variance_inflation()[:2]).all()

@@ -73,7 +73,7 @@ def test_sources_add_by_squares() -> None:
     assert len(names) == len(set(names)) == 4  # temperature, X_o, X_s, the roller's curve
     squares = np.sum([effect.coefficients**2 for effect in budget.effects], axis=0)
     total = budget.coefficients()
-    assert total == pytest.approx(np.sqrt(squares))
+    assert total == pytest.approx(np.sqrt(squares), abs=0.0)
 
 
 def test_leakage_where_the_sensors_read_the_motor_to_run_is_what_the_meter_reads() -> None:
