@@ -6,6 +6,7 @@ MOTOR_LEAKAGE_TEST_ENVIRONMENTS or of the session.
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import os
 import re
@@ -15,13 +16,18 @@ import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import polars as pl
 import pytest
 import typer.main
 
 from pipeline.cli import app
-from tests.pipeline.run.test_metrics import metrics
+from pipeline.notification.outbox import Backlog
+from pipeline.run.notification import metrics_text
+from pipeline.schema import LATEST
+from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.simulated import NIGHT, motor_toml
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
 
@@ -61,6 +67,18 @@ def test_schedulers_call_commands_and_options_that_there_are(path: Path) -> None
         options = {option for param in known[command].params for option in param.opts}
         assert set(re.findall(r"(?<=\s)--[a-z-]+", rest)) <= options
         assert path in OTHERS or "${FLEET}" in rest
+
+
+def metrics() -> str:
+    """All metrics, of a fleet of one motor of which every figure is known."""
+    when = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
+    figures = {name: 1.0 for name, kind in LATEST.schema.items() if kind == pl.Float64}
+    row = dict.fromkeys(LATEST.schema) | figures | {"motor_id": "M1", "state": "alarm"}
+    outcome: Any = SimpleNamespace(motor_id="M1", n_standing=2)
+    backlog = Backlog("hook", when, 3, when, None)
+    states = [MotorState(row | {"last_sample": when})]
+    fleet: Any = SimpleNamespace(name="mill")
+    return metrics_text(fleet, states, [outcome], {"trends_s": 0.25}, [backlog], when)
 
 
 def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
