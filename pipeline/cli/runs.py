@@ -398,8 +398,8 @@ def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
     return {fate: files.get(fate, 0) for fate in FATES}
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM came. Python itself dies of a bare KeyboardInterrupt that came while it loaded."""
+class _Stopped(KeyboardInterrupt):
+    """A signal came. Of a bare KeyboardInterrupt that came while it loaded, Python itself dies."""
 
 
 @contextmanager
@@ -408,14 +408,18 @@ def stoppable() -> Iterator[None]:
 
     What a run is not done with is done by the next one.
     """
-    came: list[int] = []
+    received: list[int] = []
 
     def stop(number: int, _: FrameType | None) -> None:
-        came.append(number)
-        raise _Terminated
+        received.append(number)
+        raise _Stopped
 
     signal.signal(signal.SIGTERM, stop)
+    # Python leaves it ignored where the run was started in the background.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop)
     try:
         yield
     except KeyboardInterrupt:
-        raise typer.Exit(EXIT_TERMINATED if came else EXIT_INTERRUPTED) from None
+        is_terminated = signal.SIGTERM in received
+        raise typer.Exit(EXIT_TERMINATED if is_terminated else EXIT_INTERRUPTED) from None

@@ -107,8 +107,8 @@ def run_fleet(
                 watched(run.workers.marks)
                 run.fit_motors(progress)
                 run.publish_nights()
-                run.make_trends()
-                run.publish_trends()
+                run.stage_trends()
+                run.publish_tables()
                 result = run.record()
             result = _notify(fleet, receivers, heartbeat, result)
             # Whoever waits for this may run at once.
@@ -220,7 +220,7 @@ class _Run:
         with self._step("publishing", "publish_s"):
             self.n_nights = publish_motors(self.publisher, self.outcomes)
 
-    def make_trends(self) -> None:
+    def stage_trends(self) -> None:
         """Stage the trends of the motors, but where the run is stopped."""
         changed = {outcome.motor_id: outcome.changed_from for outcome in self.outcomes}
         with self._step("trends", "trends_s", is_whole=False):
@@ -228,7 +228,7 @@ class _Run:
                 fleet, clock = self.request.fleet, self.request.clock
                 self.trends = make_trends(fleet, clock, self.publisher, self.workers, changed)
 
-    def publish_trends(self) -> None:
+    def publish_tables(self) -> None:
         """Publish the trends, nights without any, and the tables that are one file."""
         with self._step("trends", "trends_s"):
             self.alarms = tuple(publish_trends(self.publisher, self.trends))
@@ -279,7 +279,7 @@ def _notify(
     if result.without_logs:  # A motor without an outcome of its own has its own words.
         place = fleet.log_place
         log.warning("no log of any motor is below %s: is the folder mounted?", place)
-    heartbeat.say(stage="telling")
+    heartbeat.say(stage="notifying")
     deliver_alarms(fleet, receivers)
     write_run_metrics(fleet, receivers, result)
     if not fleet.copy_to or result.interrupted:

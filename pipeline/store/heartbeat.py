@@ -39,7 +39,7 @@ class Beat:
     """State of a run; times are UTC."""
 
     state: str  # running, finished, interrupted or failed
-    stage: str  # motors, publishing, trends, recording, telling or copying
+    stage: str  # motors, publishing, trends, recording, notifying or copying
     # started_at, beaten_at: begin of the run, and time of this beat.
     started_at: AwareDatetime
     beaten_at: AwareDatetime

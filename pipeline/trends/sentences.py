@@ -185,20 +185,18 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
 
 
 def _advice_on(night: NightState, change: Change) -> str:
+    """Return what to do about a change in force."""
+    parts = f"the {_parts(change)}" if is_of_parts(change.cause) else ""
     if night.state == "alarm":
         # An alarm carries an order, whatever its cause is called.
-        return _inspect(
-            f"the {_parts(change)}" if is_of_parts(change.cause) else "the motor", "alarm"
-        )
+        return _inspect(parts or "the motor", "alarm")
     if change.cause in ADVICE:
         return ADVICE[change.cause]
     if not change.is_rise:
         return FALL
-    if change.cause == "not_identified" or not is_of_parts(change.cause):
-        return _to_identify(night, change)
     if change.cause == "all_gaps":
         return "Take an oil sample: all gaps at once are rare."
-    return _inspect(f"the {_parts(change)}", night.state)
+    return _inspect(parts, night.state) if parts else _to_identify(night, change)
 
 
 def _inspect(what: str, state: str) -> str:

@@ -12,7 +12,7 @@ from pipeline.store.state import StateDatabase
 from pipeline.trends.nights.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
-TRENDS_VERSION = 13
+TRENDS_VERSION = 14
 
 
 @dataclass(frozen=True, slots=True)

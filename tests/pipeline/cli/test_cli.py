@@ -55,6 +55,21 @@ def test_130_and_143_while_publishing(
     assert fits["status"].to_list() == ["ok"] * 3
 
 
+def test_130_where_the_signal_comes_while_a_class_is_made(tmp_path: Path) -> None:
+    """Python compiles methods of a dataclass with exec: `python -m` died of an interrupt there."""
+    tmp_path.joinpath("interrupted.py").write_text(
+        "import os, signal, typer\n"
+        "from pipeline.cli.runs import stoppable\n"
+        "def interrupted():\n"
+        "    with stoppable():\n"
+        "        exec('os.kill(os.getpid(), signal.SIGINT)\\nwhile True: pass')\n"
+        "typer.run(interrupted)\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    path = {**os.environ, "PYTHONPATH": f"{tmp_path}:{Path.cwd()}"}
+    assert subprocess.run(command, env=path, check=False).returncode == 130
+
+
 def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> None:
     fleet = without_workers(own_fleet(PARQUET))
     code = "import sys; from pipeline.cli import main; main()"

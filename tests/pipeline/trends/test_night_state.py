@@ -334,6 +334,11 @@ def test_a_sensor_that_drifts_is_named_and_what_to_do_is_one_order() -> None:
     assert told(judge(watched()), MOVED)[1] == "Check the sensor whose zero has moved."
 
 
+def test_a_warning_of_all_gaps_asks_for_an_oil_sample() -> None:
+    words = "Take an oil sample: all gaps at once are rare."
+    assert told(judge(watched(change("all_gaps"))))[1] == words
+
+
 def test_an_alarm_carries_an_order_whatever_the_name_and_a_flushing_is_none() -> None:
     for cause in ("not_identified", "all_flows", "oil_grade", "all_gaps"):
         alarm = judge(watched(change(cause, size=Estimate(0.5, 0.01))))
