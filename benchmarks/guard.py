@@ -120,7 +120,7 @@ def _cases(folder: Path) -> list[Case]:
     a_day = RunRequest(load_fleet(of_day))
     (spec,) = fleets["parquet"].motors
     content = read_log(logs["parquet"], spec.file.logs, spec.file.channels)
-    channels = slice_night([content], night(NIGHT, spec.settings.nights))
+    channels = slice_night([content], night(NIGHT, spec.settings.nights), {})
     rows = content.rows
     rng = np.random.default_rng(1)
     matrix, borders = rng.normal(size=(rows, 6)), np.linspace(0, rows, 21).astype(np.int64)

@@ -22,7 +22,7 @@ from pipeline.config.channels import Channel
 from pipeline.config.logs import Logs
 from pipeline.demo import shipped_configs
 from pipeline.ingest import csv as csv_log
-from pipeline.ingest import csv_text, parquet
+from pipeline.ingest import parquet
 from pipeline.ingest.mcap import layout as mcap_layout
 from tests.pipeline.cli.test_extras import stated
 from tests.pipeline.cli.test_reference import keys
@@ -160,9 +160,9 @@ def test_the_receivers_of_the_page_on_results_are_a_config() -> None:
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     text = (DOCS / "operations.md").read_text("utf-8").partition("## Security")[2]
     gib, mib = 2**30, 2**20
-    assert f"unpacks to {csv_text.LARGEST_TEXT // gib} GiB at most" in text
-    assert f"to {csv_text.LARGEST_RATIO} times its size" in text
-    assert f"a line has {csv_text.LONGEST_LINE // mib} MiB" in text
+    assert f"unpacks to {csv_log.LARGEST_TEXT // gib} GiB at most" in text
+    assert f"to {csv_log.LARGEST_RATIO} times its size" in text
+    assert f"a line has {csv_log.LONGEST_LINE // mib} MiB" in text
     assert f"a header {csv_log.MOST_CELLS} cells" in text
     assert parquet.MOST_ROWS == 2**27
     assert f"{parquet.MOST_ROWS_A_BYTE} a byte" in text

@@ -4,8 +4,15 @@ Imports config, units and errors, nothing else of the pipeline.
 """
 
 from pipeline.ingest.assembly import Samples, log_of_samples
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader, validate
-from pipeline.ingest.readers import read_log, time_span
+from pipeline.ingest.contract import (
+    LogFile,
+    RawChannel,
+    RawLog,
+    Reader,
+    read_log,
+    time_span,
+    validate,
+)
 
 __all__ = [
     "LogFile",

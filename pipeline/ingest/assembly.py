@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -16,9 +16,8 @@ from pipeline.arrays import Rows
 from pipeline.clock import IN_FUTURE
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.arrow_types import nulls
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, ends
-from pipeline.ingest.quality import is_bad, quality_states
+from pipeline.ingest.cells import is_bad, nulls, quality_states
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
@@ -329,14 +328,6 @@ def raw_log(
     parted = ((reason.partition(" "), count) for reason, count in refused.items() if count)
     notes = [f"{counted(count, noun)} {what}" for (noun, _, what), count in parted]
     return RawLog(channels, rows, (*notes, *remarks))
-
-
-def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
-    """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
-    bounds = ends(parts)
-    if bounds is None:
-        raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
-    return bounds
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,35 +1,21 @@
-"""The contract of all readers of logs, whatever the format of the file.
+"""The contract of all readers of logs, whatever the format of the file, and the way to read one.
 
 A `Reader` is given a `LogFile`, with the motor's `Logs` and `Channel`s as configured, and returns a
 `RawLog`: each channel on its own time stamps, in the order of the file, in canonical units, with
 what is missing marked. A reader sorts nothing, fills nothing and judges nothing but the file
 itself; whether a sample is plausible is for the cleaning stage.
 
-Codes of the `LogError` that readers raise:
-
-- ``log_missing``: there is no such file;
-- ``log_not_readable``: not a file, or it may not be opened;
-- ``log_empty``: the file has no bytes or no header, or it has no samples and a span was asked for;
-- ``log_not_csv``, ``log_not_parquet``, ``log_not_mcap``: it is something else;
-- ``log_encoding``: the text is in another encoding, or MCAP messages are in one that is not read;
-- ``log_extra_missing``: a package that these messages need is not installed;
-- ``log_compression``: chunks of an MCAP file are compressed in a way that is not known;
-- ``log_truncated``: the end of the file is missing;
-- ``log_damaged``: a checksum, a length or a count contradicts what is there;
-- ``log_column_missing``: a column, topic or field is not there; the message says which are;
-- ``log_column_twice``: two columns have the name that is asked for;
-- ``log_type``: a channel holds something else than numbers;
-- ``log_time``: time stamps cannot be read as the source says, or lie in the future;
-- ``log_too_large``: more than a reader takes into memory;
-- ``log_reader``: an installed reader cannot be loaded, fails, breaks this contract, or has no such
-  option as is set.
+Errors are `LogError`s with a code of `docs/operations.md`.
 """
 
 from __future__ import annotations
 
+import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field, replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.config.channels import Channels
+from pipeline.clock import latest_us as latest_by_clock
+from pipeline.config.channels import COUNTED, Channel, Channels
+from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.time_stamps import EARLIEST_US, LATEST_US
+from pipeline.units import CHANNELS, to_canonical
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +171,14 @@ def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
 
 
+def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
+    """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
+    bounds = ends(parts)
+    if bounds is None:
+        raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
+    return bounds
+
+
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
     """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""
@@ -248,3 +245,121 @@ def require_possible(first_us: int, last_us: int, latest_us: int) -> None:
             f"gave time stamps from {first_us} to {last_us}, before 1990 or in the future: they "
             "are microseconds since 1970, UTC"
         )
+
+
+# To read one
+
+
+def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None = None) -> RawLog:
+    """Read the channels of a log; one without rows gives channels without samples.
+
+    Samples after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, or not be trusted; codes in `docs/operations.md`.
+    """
+    with _opened(path, logs, channels, latest_us) as (reader, file):
+        log = validate(reader.read(file), file.channels, file.latest_us)
+    return _with_constants(log, channels)
+
+
+def time_span(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> tuple[int, int]:
+    """Smallest and largest time stamp [µs since 1970, UTC], without reading the whole log if so.
+
+    A CSV is taken to be in order, its first and last rows are looked at; an MCAP file says it in
+    its summary, for all topics together. Errors as `read_log`; ``log_empty`` without samples.
+    """
+    with _opened(path, logs, channels, latest_us) as (reader, file):
+        if reader.span is None:
+            log = validate(reader.read(file), file.channels, file.latest_us)
+            return span(path, log.stamps())
+        first, last = reader.span(file)
+        require_possible(first, last, file.latest_us)
+        return first, last
+
+
+def _with_constants(log: RawLog, channels: Channels) -> RawLog:
+    """A log with the channels that are stated: they have the samples of the drain flow."""
+    stated = {name: channel for name, channel in channels.items() if channel.constant is not None}
+    if not stated:
+        return log
+    flow = log.channels[COUNTED]
+    every = dict(log.channels)
+    every |= {name: _constant(name, channel, flow) for name, channel in stated.items()}
+    return replace(log, channels={name: every[name] for name in CHANNELS if name in every})
+
+
+def _constant(name: str, channel: Channel, flow: RawChannel) -> RawChannel:
+    value = np.full(flow.value.size, to_canonical(name, channel.constant or 0.0, channel.unit))
+    value[flow.missing] = np.nan
+    value.flags.writeable = False
+    return RawChannel(flow.time_us, value, flow.missing, 0)
+
+
+@contextmanager
+def _opened(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> Iterator[tuple[Reader, LogFile]]:
+    """A log's reader, and what it is given: the channels that a log holds, in their order.
+
+    What an installed reader does wrong within is an error of the log.
+
+    Raises
+    ------
+    LogError
+        What is no file; ``log_reader``: there is no such reader or option, it cannot be loaded or
+        used, or fails.
+    """
+    with readable(path):
+        try:
+            entry = reader_entry(logs.format)
+        except ValueError as error:
+            raise LogError("log_reader", path, f"format {logs.format!r}: {error}") from error
+        logged = (item for item in channels.items() if item[1].constant is None)
+        in_order = dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+        with _its_faults(path, entry):
+            reader = entry.load()
+            if not isinstance(reader, Reader):
+                raise TypeError(f"no Reader but a {type(reader).__name__}")
+            latest = latest_by_clock() if latest_us is None else latest_us
+            yield reader, _with_options(LogFile(path, logs, in_order, latest), reader)
+
+
+@contextmanager
+def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
+    """Any error of an installed reader as one of the log; a built-in one's stay as they are.
+
+    What it prints is none of the program's output.
+    """
+    try:
+        with redirect_stdout(sys.stdout if entry.dist is None else sys.stderr):
+            yield
+    except (LogError, OSError, MemoryError):
+        raise
+    # An installed reader is anybody's code, over any library: it may raise whatever there is.
+    except (Exception, SystemExit) as error:
+        if entry.dist is None:
+            raise
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{last.filename.rpartition('/')[2]}, line {last.lineno}"
+        how = f"failed: {type(error).__name__}: {error} ({where})"
+        message = f"reader {entry.name} of {reader_version(entry)} {how}"
+        raise LogError("log_reader", path, message) from error
+
+
+def _with_options(file: LogFile, reader: Reader) -> LogFile:
+    """The log with all options of its reader, the defaults where none are set."""
+    own = file.logs.options
+    if not own and not reader.options:
+        return file
+    for key, value in own.items():
+        default = reader.options.get(key)
+        if type(value) is not type(default):
+            known = ", ".join(f"{name} = {known!r}" for name, known in reader.options.items())
+            how = f"logs.options: got {key} = {value!r}; expected of {known or 'none'}"
+            raise LogError("log_reader", file.path, how)
+    return replace(file, logs=file.logs.model_copy(update={"options": {**reader.options, **own}}))

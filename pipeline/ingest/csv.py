@@ -7,13 +7,15 @@ row without a line end, are left out and counted: half a figure looks like a fig
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import polars as pl
@@ -26,12 +28,35 @@ from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.contract import LogFile, RawLog, Reader
-from pipeline.ingest.csv_text import is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_CELLS = 2**14
 """Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
+
+LARGEST_TEXT = 4 * 2**30
+"""Bytes of text in a file, packed or not; readings of more would not fit into memory."""
+
+LARGEST_RATIO = 400
+"""Bytes of text to a byte of a packed file. A motor that stands still all night has below 100."""
+
+PIECE = 2**21
+"""Bytes read at a time: few enough to stay in the processor's cache."""
+
+LONGEST_LINE = 2**25
+"""Bytes of a line; a file with longer ones is no table."""
+
+_RATIO_FROM = 2**26
+_LINE = 2**12
+_UNPACKED_HERE = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
+_PACKERS = {
+    **_UNPACKED_HERE,
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"7z\xbc\xaf": "7z",
+    b"Rar!": "rar",
+}
 
 _HEAD = 2**20
 _SPAN_PIECE = 2**16
@@ -41,10 +66,7 @@ _OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
 def _read(file: LogFile) -> RawLog:
     """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
-    reader = _Rows(file, wanted_columns(file))
-    for data in read_lines(file.path, file.logs.encoding):
-        reader.read(data)
-    return reader.log()
+    return _rows(file, wanted_columns(file)).log()
 
 
 def _span(file: LogFile) -> tuple[int, int]:
@@ -52,15 +74,20 @@ def _span(file: LogFile) -> tuple[int, int]:
     times = Columns(wanted_columns(file).time)
     is_plain = is_utf8(file.logs.encoding) and not is_packed(file.path)
     if is_plain and file.path.stat().st_size > 4 * _SPAN_PIECE:
-        try:
+        # Where they cannot be read, the whole file says what is wrong, or has the span.
+        with suppress(LogError):
             return _span_of_ends(file, times)
-        except LogError:
-            pass  # The whole file says what is wrong, or has the span.
-    reader = _Rows(file, times)
-    for data in read_lines(file.path, file.logs.encoding):
-        reader.read(data)
+    reader = _rows(file, times)
     reader.require_rows_of_one_width()
     return reader.table.span()
+
+
+def _rows(file: LogFile, columns: Columns) -> _Rows:
+    """Read all rows of a file."""
+    reader = _Rows(file, columns)
+    for data in read_lines(file.path, file.logs.encoding):
+        reader.read(data)
+    return reader
 
 
 def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
@@ -74,9 +101,6 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
     last_rows.read(repaired(tail[begin:end]))
     first, last = head.table.span(), last_rows.table.span()
     return min(first[0], last[0]), max(first[1], last[1])
-
-
-READER = Reader(_read, _span)
 
 
 def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
@@ -94,10 +118,7 @@ def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
         raise LogError("log_empty", path, f"no header after {logs.skip_rows} skipped lines")
     names = _cells(path, logs, lines[at])
     if len(names) > MOST_CELLS:
-        how = (
-            f"the header has {len(names)} cells, read are at most {MOST_CELLS}: check separator "
-            "and skip_rows"
-        )
+        how = f"the header has {len(names)} cells, at most {MOST_CELLS} are read: check separator"
         raise LogError("log_not_csv", path, how)
     return names, sum(map(len, lines[: at + 1]))
 
@@ -259,9 +280,7 @@ class _Rows:
     def log(self) -> RawLog:
         """All that was read."""
         self.require_rows_of_one_width()
-        ragged = "row with too many or too few cells"
-        if self.ragged:
-            ragged += f", the first has {self.first_ragged}"
+        ragged = f"row with too many or too few cells, the first has {self.first_ragged}"
         return self.table.log(
             {
                 "last row without a line end (it may be cut)": self.torn,
@@ -273,13 +292,12 @@ class _Rows:
     def require_rows_of_one_width(self) -> None:
         """Refuse a file most of whose rows do not have the header's number of cells."""
         if self.ragged > self.rows:
-            raise LogError(
-                "log_not_csv",
-                self.path,
+            how = (
                 f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
                 f"{len(self.names)} cells, the first has {self.first_ragged}: check separator and "
-                "skip_rows",
+                "skip_rows"
             )
+            raise LogError("log_not_csv", self.path, how)
 
 
 @dataclass(slots=True)
@@ -309,13 +327,7 @@ def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
 
 
 def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text, or of one that Arrow could parse as float64.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``: a quotation mark is opened and not closed in its row.
-    """
+    """Numbers of a column of text, or of one that Arrow could parse as float64."""
     if pa.types.is_floating(cells.type):
         return readings_of(cells)
     texts = pl.Series(name, cells)
@@ -332,13 +344,10 @@ def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Read
     numbers = plain.cast(pl.Float64, strict=False)
     missing = numbers.is_null()
     blank = trimmed.is_null() | trimmed.is_in(logs.missing_tokens)
-    strange = texts.filter(missing & ~blank)
-    return Readings(
-        numbers.fill_null(np.nan).to_numpy(),
-        missing.to_numpy(),
-        (missing & ~blank).to_numpy(),
-        strange[0] if len(strange) else None,
-    )
+    unparsed = missing & ~blank
+    example = next(iter(texts.filter(unparsed).head(1)), None)
+    raw = numbers.fill_null(np.nan).to_numpy()
+    return Readings(raw, missing.to_numpy(), unparsed.to_numpy(), example)
 
 
 def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
@@ -347,3 +356,145 @@ def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
     grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
     whole, none = (cells.str.replace_all(logs.thousands, to, literal=True) for to in ("", "_"))
     return whole.zip_with(cells.str.contains(grouped), none)
+
+
+# The text: unpacked, decoded and cut into pieces of whole lines
+
+
+def is_utf8(encoding: str) -> bool:
+    """True if text in an encoding is UTF-8 as it stands."""
+    return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
+
+
+def is_packed(path: Path) -> bool:
+    """True if a file is compressed, by its first bytes."""
+    with path.open("rb") as file:
+        return _packer(file.read(8)) is not None
+
+
+def _packer(head: bytes) -> str | None:
+    return next((name for magic, name in _PACKERS.items() if head.startswith(magic)), None)
+
+
+def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]:
+    """Text of a file, plain or packed, in UTF-8, as pieces of whole lines; `piece` in bytes.
+
+    There is one piece at least. The last one is what stands behind the last line end, if anything.
+    Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
+    """
+    rest, is_first = b"", True
+    for text in _decoded(path, unpacked(path, piece), encoding):
+        data = rest + text if rest else text
+        if is_first and len(data) < 4:
+            rest = data
+            continue
+        if is_first:
+            data = _first(path, data)
+            is_first = False
+        newline = data.rfind(b"\n")
+        end = max(newline, data.rfind(b"\r", newline + 1)) + 1
+        if not end and len(data) > LONGEST_LINE:
+            raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
+        whole, rest = data[:end], data[end:]
+        if whole:
+            yield repaired(whole)
+    if is_first:
+        rest = _first(path, rest)
+    yield rest if rest.strip() else b""
+
+
+def repaired(data: bytes) -> bytes:
+    """Text with the minus sign of ASCII, and a mark, which is no number, for what is not UTF-8."""
+    if data.isascii():
+        return data
+    return data.decode(errors="replace").replace("\N{MINUS SIGN}", "-").encode()
+
+
+def unpacked(path: Path, piece: int) -> Iterator[bytes]:
+    """Bytes of the text in pieces; errors as of `read_lines`."""
+    size, total = path.stat().st_size, 0
+    with path.open("rb") as file:
+        packer = _packer(file.read(8))
+        file.seek(0)
+        if packer is not None and packer not in _UNPACKED_HERE.values():
+            how = f"the file is packed with {packer}: unpack it, or use gzip"
+            raise LogError("log_not_csv", path, how)
+        # Up to the end of a line, where that is near: it need not be joined to the next piece.
+        plain = iter(lambda: file.read(piece) + file.readline(_LINE), b"")
+        for data in plain if packer is None else _inflated(path, file, packer, piece):
+            total += len(data)
+            if total > LARGEST_TEXT:
+                how = f"there are over {LARGEST_TEXT} bytes of text: split it, or use Parquet"
+                raise LogError("log_too_large", path, how)
+            # By what has been unpacked so far: a bomb shows long before its end.
+            if packer and total > max(_RATIO_FROM, LARGEST_RATIO * file.tell()):
+                how = (
+                    f"its {size} bytes expand to more than {LARGEST_RATIO} times as many, too many"
+                )
+                raise LogError("log_too_large", path, f"{how} for a log: check its content")
+            yield data
+
+
+def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[bytes]:
+    # Not the zstandard package's reader: it takes a cut file for a whole one.
+    try:
+        with pa.CompressedInputStream(pa.PythonFile(file, "r"), packer) as stream:
+            # Not `read`: in PyArrow 26 a stream that fails keeps what that has set aside for good.
+            while (data := stream.read_buffer(piece)).size:
+                yield data.to_pybytes()
+    except (OSError, pa.ArrowException) as error:
+        reason = " ".join(str(error).split())
+        if "runcated" in reason or "end of" in reason:
+            how = f"the end of the {packer} file is missing: copy it again"
+            raise LogError("log_truncated", path, how) from error
+        how = f"the {packer} file cannot be unpacked: {reason}"
+        raise LogError("log_damaged", path, how) from error
+
+
+def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
+    """Pieces in UTF-8; half a character at the end is left to the last, cut row."""
+    if is_utf8(encoding):
+        yield from pieces
+        return
+    decoder = codecs.getincrementaldecoder(encoding)()
+    for data in pieces:
+        try:
+            yield decoder.decode(data).encode()
+        except (UnicodeError, ValueError) as error:
+            how = f"the text is not in encoding {encoding}: {error}"
+            raise LogError("log_encoding", path, how) from error
+
+
+def _first(path: Path, data: bytes) -> bytes:
+    """The first piece without its mark; what is no text, or in another encoding, is refused."""
+    head = data[:4096]
+    packer = _packer(head)
+    if packer is not None:
+        raise LogError("log_not_csv", path, f"what is in it is packed again, with {packer}")
+    if head and not any(head):
+        raise LogError("log_damaged", path, "the file holds nothing but zero bytes: copy it again")
+    encoding = wide_encoding(head)
+    if encoding:
+        how = f'the text looks like {encoding.upper()}: set encoding = "{encoding}" for this log'
+        raise LogError("log_encoding", path, how)
+    if 0 in head:
+        how = "the file is not text: set the format it has, or unpack it first"
+        raise LogError("log_not_csv", path, how)
+    return data.removeprefix(codecs.BOM_UTF8)
+
+
+def wide_encoding(head: bytes) -> str | None:
+    """Encoding of text whose letters have zero bytes around them."""
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return "utf-32"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # Text has no zero byte: of plain letters in UTF-16 every other byte is one, in UTF-32 three of
+    # four.
+    nul = head.count(0)
+    if 5 * nul <= 2 * len(head):
+        return None
+    return f"utf-{32 if 10 * nul > 7 * len(head) else 16}-{'le' if head[0] else 'be'}"
+
+
+READER = Reader(_read, _span)

@@ -21,8 +21,8 @@ import pyarrow.parquet as pq
 
 from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
-from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.assembly import readings_of
+from pipeline.ingest.cells import is_number, is_text
 from pipeline.ingest.contract import LogFile, RawLog, Reader
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written

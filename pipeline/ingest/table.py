@@ -22,10 +22,9 @@ from pipeline.ingest.assembly import (
     judged,
     no_samples,
     raw_log,
-    span,
     without_rows_of_others,
 )
-from pipeline.ingest.contract import LogFile, RawLog
+from pipeline.ingest.contract import LogFile, RawLog, span
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, example_of
 
 _MOST_NAMES = 40

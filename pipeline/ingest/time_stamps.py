@@ -19,7 +19,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, parsed
-from pipeline.ingest.arrow_types import is_text, nulls
+from pipeline.ingest.cells import is_text, nulls
 
 EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
 LATEST_US = int(datetime(2200, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000

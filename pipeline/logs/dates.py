@@ -120,7 +120,7 @@ def has_no_span(record: FileRecord) -> bool:
     return record.status != "ok" and record.first_us is None
 
 
-def with_told_nights(
+def with_known_nights(
     records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], latest: dt.date
 ) -> dict[str, FileRecord]:
     """Give each unreadable file the nights that it held before, or that of the date in its name.

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from pipeline.workers.process import reading
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-NO_REACH: Mapping[str, int] = MappingProxyType({})
 # Of a record: what is another one where a file is written to or replaced.
 OF_CONTENT = ("size", "modified_ns", "inode")
 
@@ -48,15 +46,14 @@ def inspect_log(
             record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
-    is_same = before is not None and before.sha256 == record.sha256
-    if before is None or not is_same or before.is_ahead:
+    same = before if before is not None and before.sha256 == record.sha256 else None
+    if same is None or same.is_ahead:
         with reading(record.path):
-            found = spanned(record, path, spec, latest_us)
-        ends = found.status, found.last_us
-        if before is None or not is_same or ends != (before.status, before.last_us):
-            return found
+            new = spanned(record, path, spec, latest_us)
+        if same is None or (new.status, new.last_us) != (same.status, same.last_us):
+            return new
     seen = {name: getattr(record, name) for name in ("modified_ns", "inode", "changed_ns")}
-    return replace(before, **seen)
+    return replace(same, **seen)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -89,14 +86,8 @@ def stat_log(name: str, path: Path) -> FileRecord:
         state = path.stat()
     except OSError as error:
         return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
-    record = FileRecord(
-        name,
-        state.st_size,
-        state.st_mtime_ns,
-        None,
-        inode=state.st_ino,
-        changed_ns=state.st_ctime_ns,
-    )
+    times = {"inode": state.st_ino, "changed_ns": state.st_ctime_ns}
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, **times)
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
@@ -109,10 +100,7 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 
 
 def spanned(
-    record: FileRecord,
-    path: Path,
-    spec: MotorSpec,
-    latest_us: int | None = None,
+    record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
     """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
@@ -141,11 +129,11 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
 
     Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
     """
-    stamps = log.stamps()
-    notes = list(log.notes)
-    unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
+    stamps, notes = log.stamps(), list(log.notes)
     notes += [
-        f"{counted(count, 'cell')} of {name} without a number" for name, count in unparsed.items()
+        f"{counted(part.unparsed, 'cell')} of {name} without a number"
+        for name, part in log.channels.items()
+        if part.unparsed
     ]
     notes += _blank_channels(record, log, spec)
     ends = log.ends()
@@ -207,7 +195,7 @@ def labels_of(record: FileRecord) -> set[dt.date]:
 
 
 def slice_night(
-    logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
+    logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int]
 ) -> dict[str, RawChannel]:
     """Return the samples of a night from the contents of all files that have some, file after file.
 

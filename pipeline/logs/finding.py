@@ -1,7 +1,14 @@
-"""Log files of motors, found by the patterns of a config."""
+"""Log files of motors, found by the patterns of a config.
+
+Of a Delta table, files of its newest version are logs: others lie beside them until a clean-up. Its
+`_delta_log/` has a JSON file a version, with a line an action, and now and then a checkpoint with
+all files that are added by then (Delta transaction log protocol,
+https://github.com/delta-io/delta/blob/master/PROTOCOL.md).
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from bisect import bisect_left
@@ -10,16 +17,20 @@ from contextlib import suppress
 from fnmatch import filter as fitting
 from functools import lru_cache
 from pathlib import Path
+from urllib.parse import unquote
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import one_line
-from pipeline.logs.delta import LOG, of_newest_version
 from pipeline.messages import counted
 from pipeline.workers.process import reading, still_alive
 
 LONGEST_PATH = 4096
 # Of logs; a packed one has another behind it.
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
+DELTA_LOG = "_delta_log"
 # Logs without a motor that are named.
 MOST_STRAYS = 8
 GLOB_CHARACTERS = frozenset("*?[")
@@ -131,7 +142,7 @@ def suffix_of(path: Path) -> str:
 def logs_below(folder: Path) -> Iterator[Path]:
     """Yield files of a folder that are logs by their names."""
     for place, _, names in os.walk(folder.resolve()):
-        if Path(place).name == LOG:
+        if Path(place).name == DELTA_LOG:
             continue
         for path in (Path(place, name) for name in names):
             if suffix_of(path).lower().startswith(SUFFIXES) and path.is_file():
@@ -167,3 +178,48 @@ def strays_text(strays: Sequence[str]) -> str:
 def legible(text: str) -> str:
     """Return text for tables, terminals and pages: characters that do not print become escapes."""
     return one_line(text, LONGEST_PATH)
+
+
+def of_newest_version(paths: Iterable[Path], root: Path) -> set[Path]:
+    """Return the paths without those that a Delta table at or above them has removed."""
+    return {path for path in paths if _is_live(path, root)}
+
+
+def _is_live(path: Path, root: Path) -> bool:
+    for folder in path.parents:
+        log = folder / DELTA_LOG
+        if log.is_dir():
+            return path.relative_to(folder).as_posix() in _live(folder, log.stat().st_mtime_ns)
+        if folder == root:
+            break
+    return True
+
+
+@lru_cache(maxsize=64)
+def _live(table: Path, _: int) -> frozenset[str]:
+    """Return the files of a table's newest version, by path in it, as of a change of its log."""
+    log, live, since = table / DELTA_LOG, set[str](), -1
+    checkpoints = sorted(log.glob("*.checkpoint*.parquet"))
+    if checkpoints:
+        since = _version(checkpoints[-1])
+        for path in (checkpoint for checkpoint in checkpoints if _version(checkpoint) == since):
+            live |= _added(path)
+    for path in sorted(log.glob("*.json")):
+        if _version(path) <= since:
+            continue
+        for line in path.read_text("utf-8").splitlines():
+            action = json.loads(line)
+            live -= {unquote(action["remove"]["path"])} if "remove" in action else set()
+            live |= {unquote(action["add"]["path"])} if "add" in action else set()
+    return frozenset(live)
+
+
+def _added(checkpoint: Path) -> set[str]:
+    actions = pq.read_table(checkpoint, columns=["add"])["add"].combine_chunks()
+    paths: pa.Array = actions.field("path")
+    return {unquote(path) for path in paths.to_pylist() if path is not None}
+
+
+def _version(path: Path) -> int:
+    number = path.name.partition(".")[0]
+    return int(number) if number.isdigit() else -1

@@ -16,7 +16,7 @@ from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
-from pipeline.logs.dates import has_no_span, with_told_nights, without_misdated
+from pipeline.logs.dates import has_no_span, with_known_nights, without_misdated
 from pipeline.logs.files import covered, failed, labels_of, reaches_us
 from pipeline.logs.finding import require_answer
 from pipeline.logs.locations import FolderLogs, logs_of
@@ -75,7 +75,7 @@ class MotorLogs:
         self.absent: list[str] = []
         found = self._look() if log_records is None else log_records
         latest = night_of(latest_us, spec.settings.nights)
-        self.files = with_told_nights(without_misdated(found), before, latest)
+        self.files = with_known_nights(without_misdated(found), before, latest)
         self.read: set[str] = set()
         self.n_moved = 0  # logs that turned out to have other nights than before they were read
         self._open: OrderedDict[str, RawLog] = OrderedDict()

@@ -20,9 +20,9 @@ import pyarrow as pa
 from pipeline.config.dialect import FieldPath, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest import arrow_types
+from pipeline.ingest import cells as log_cells
 from pipeline.ingest.contract import readable
-from pipeline.ingest.csv_text import read_lines, unpacked, wide_encoding
+from pipeline.ingest.csv import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
@@ -321,7 +321,7 @@ def _column(field: pa.Field, values: pa.Array) -> Column | None:
     if pa.types.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
         return Column(field.name, (), "typed", kind.tz or "", keys)
-    if not (arrow_types.is_number(kind) or arrow_types.is_text(kind) or pa.types.is_null(kind)):
+    if not (log_cells.is_number(kind) or log_cells.is_text(kind) or pa.types.is_null(kind)):
         return None
     stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
     unit = next((stated[key] for key in (b"unit", b"units", b"uom") if key in stated), b"").decode(

@@ -26,7 +26,7 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 """Names of the two numbers of a stamp: of ROS 2, of ROS 1 and JSON, and of Protobuf."""
 
 _NEWLINE = 10
-_ELEMENTS_SHOWN = 4
+ELEMENTS_SHOWN = 4
 _DEEPEST = 6
 _INT64 = np.iinfo(np.int64)
 
@@ -250,7 +250,7 @@ def leaves(node: Any, path: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
     if isinstance(node, dict):
         below = list(node.items())
     elif isinstance(node, list):
-        below = list(enumerate(node[:_ELEMENTS_SHOWN]))
+        below = list(enumerate(node[:ELEMENTS_SHOWN]))
     else:
         yield path, node
     for step, inner in below if len(path) < _DEEPEST else ():

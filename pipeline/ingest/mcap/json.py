@@ -22,8 +22,8 @@ import pyarrow.json as arrow_json
 from numpy.typing import NDArray
 
 from pipeline.config.dialect import FieldPath
-from pipeline.ingest.arrow_types import nulls
 from pipeline.ingest.assembly import readings_of
+from pipeline.ingest.cells import nulls
 from pipeline.ingest.mcap.decoding import (
     Decoded,
     Decoder,

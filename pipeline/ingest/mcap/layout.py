@@ -6,15 +6,18 @@ is an opcode, a length and a content.
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Schema, Statistics
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
@@ -30,86 +33,52 @@ LARGEST_CHUNK = 256 * 2**20
 """Bytes that a chunk may claim to be, packed or not: 16 kB were seen to unfold to 480 MB."""
 
 LONGEST_RECORD = LARGEST_CHUNK + 2**20
+NO_SCHEMA = Schema(0, b"", "", "")
 
-_CHANNEL_HEAD = struct.Struct("<HH")
-_SCHEMA_HEAD = struct.Struct("<H")
-_STATISTICS = struct.Struct("<QHIIIIQQI")
-_CHANNEL_COUNT = struct.Struct("<HQ")
 _FOOTER = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES = 4
-
-
-class ChannelRecord(NamedTuple):
-    """A channel record: what the messages of an id are; schema 0 is none."""
-
-    topic: str
-    encoding: str
-    schema_id: int
-    metadata: tuple[tuple[str, str], ...] = ()
-
-
-class Schema(NamedTuple):
-    """A schema record: how messages are laid out."""
-
-    name: str
-    encoding: str
-    data: bytes
-
-
-NO_SCHEMA = Schema("", "", b"")
+_Record = TypeVar("_Record", Channel, Schema, Statistics)
 
 
 @dataclass(frozen=True, slots=True)
 class Declared:
     """Channels and schemas by id; they may be repeated but not changed."""
 
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
 
     def add(self, path: Path, opcode: int, content: bytes) -> None:
         """Add the content of a channel or schema record."""
-        known: ChannelRecord | Schema
-        declared: ChannelRecord | Schema
-        try:
-            if opcode == CHANNEL:
-                number, schema_id = _CHANNEL_HEAD.unpack_from(content)
-                topic, at = _text(content, _CHANNEL_HEAD.size)
-                encoding, at = _text(content, at)
-                declared = ChannelRecord(topic, encoding, schema_id, _pairs(content, at))
-                known = self.channels.setdefault(number, declared)
-            else:
-                (number,) = _SCHEMA_HEAD.unpack_from(content)
-                name, at = _text(content, _SCHEMA_HEAD.size)
-                encoding, at = _text(content, at)
-                declared = Schema(name, encoding, _bytes(content, at)[0])
-                known = self.schemas.setdefault(number, declared)
-        except (struct.error, UnicodeDecodeError) as error:
-            raise LogError(
-                "log_damaged", path, f"a channel or schema record cannot be read: {error}"
-            ) from error
+        known: Channel | Schema
+        declared: Channel | Schema
+        if opcode == CHANNEL:
+            declared = _record(path, Channel, content)
+            known = self.channels.setdefault(declared.id, declared)
+        else:
+            declared = _record(path, Schema, content)
+            known = self.schemas.setdefault(declared.id, declared)
         if known != declared:
             what = "channel" if opcode == CHANNEL else "schema"
-            raise LogError("log_damaged", path, f"{what} {number} is declared twice over")
+            raise LogError("log_damaged", path, f"{what} {declared.id} is declared twice over")
 
 
-def _pairs(content: bytes, at: int) -> tuple[tuple[str, str], ...]:
-    """Return the texts of a map, or none where a writer left it out."""
-    packed = _bytes(content, at)[0] if at < len(content) else b""
-    pairs, place = list[tuple[str, str]](), 0
-    while place < len(packed):
-        key, place = _text(packed, place)
-        value, place = _text(packed, place)
-        pairs.append((key, value))
-    return tuple(pairs)
+class _Whole(ReadDataStream):
+    """A stream of which nothing may be missing."""
+
+    def read(self, length: int) -> bytes:
+        content = super().read(length)
+        if len(content) < length:
+            raise EndOfFile
+        return content
 
 
-class Statistics(NamedTuple):
-    """The writer's own count of its messages, log times in ns."""
-
-    message_count: int
-    first_log_time: int
-    last_log_time: int
-    counts_by_channel: Mapping[int, int]
+def _record(path: Path, kind: type[_Record], content: bytes) -> _Record:
+    """Return a record by its content."""
+    try:
+        return kind.read(_Whole(io.BytesIO(content)))
+    except (EndOfFile, UnicodeDecodeError) as error:
+        how = f"a record of kind {kind.__name__} cannot be read: {error!r}"
+        raise LogError("log_damaged", path, how) from error
 
 
 class Summary(NamedTuple):
@@ -124,7 +93,7 @@ class Summary(NamedTuple):
         if self.statistics is None:
             return None
         same = [i for i, channel in self.declared.channels.items() if channel.topic == topic]
-        return sum(self.statistics.counts_by_channel.get(i, 0) for i in same)
+        return sum(self.statistics.channel_message_counts.get(i, 0) for i in same)
 
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
@@ -211,29 +180,5 @@ def _summary_records(path: Path, section: bytes) -> tuple[Declared, Statistics |
         if section[start] in (CHANNEL, SCHEMA):
             declared.add(path, section[start], content)
         elif section[start] == STATISTICS:
-            statistics = _statistics(path, content)
+            statistics = _record(path, Statistics, content)
     return declared, statistics
-
-
-def _statistics(path: Path, content: bytes) -> Statistics:
-    try:
-        messages, *_, first, last, size = _STATISTICS.unpack_from(content)
-        counts = _CHANNEL_COUNT.iter_unpack(content[_STATISTICS.size :][:size])
-    except struct.error as error:
-        raise LogError("log_damaged", path, f"the summary's statistics: {error}") from error
-    return Statistics(messages, first, last, dict(counts))
-
-
-def _text(content: bytes, at: int) -> tuple[str, int]:
-    """A text that has its length before it, and where it ends."""
-    text, end = _bytes(content, at)
-    return text.decode(), end
-
-
-def _bytes(content: bytes, at: int) -> tuple[bytes, int]:
-    """Bytes that have their number before them, and where they end."""
-    (size,) = struct.unpack_from("<I", content, at)
-    end = at + 4 + size
-    if end > len(content):
-        raise struct.error(f"a text of {size} bytes goes beyond its record")
-    return content[at + 4 : end], end

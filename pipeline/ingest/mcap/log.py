@@ -10,14 +10,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
-from pipeline.config.dialect import field_path, path_text
+from pipeline.config.dialect import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Gathered, judged, raw_log, span
-from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader
+from pipeline.ingest.assembly import Gathered, judged, raw_log
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader, span
 from pipeline.ingest.mcap.decoding import (
     Decoded,
     Decoder,
@@ -29,7 +30,7 @@ from pipeline.ingest.mcap.decoding import (
     stacked,
 )
 from pipeline.ingest.mcap.json import json_decoder, json_object
-from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema
+from pipeline.ingest.mcap.layout import NO_SCHEMA
 from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
@@ -39,7 +40,7 @@ _COST_OF_MESSAGE = 64
 """Bytes that a message takes while it is decoded, besides its payload."""
 
 _MOST_NAMES = 40
-_JSON = "json", NO_SCHEMA
+_JSON = "json", "", "", b""
 
 
 def _read(file: LogFile) -> RawLog:
@@ -75,7 +76,9 @@ def _span(file: LogFile) -> tuple[int, int]:
         return span(path, _read(file).stamps())
     statistics = summary_of(path, salvage=logs.salvage)[0].statistics
     if statistics is not None and statistics.message_count and logs.time != "publish_time":
-        log_times = np.array([statistics.first_log_time, statistics.last_log_time], np.uint64)
+        log_times = np.array(
+            [statistics.message_start_time, statistics.message_end_time], np.uint64
+        )
         ends = placed(written_as_numbers(log_times, "epoch_ns"), "UTC")
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
@@ -153,7 +156,7 @@ class _Topic:
         self.first = b""  # message
         self.rows = Gathered(file.path, self.channels, fields)
         self.known = 0  # channels that the file has declared so far
-        self.kind: tuple[str, Schema] | None = None  # of its messages: encoding, schema
+        self.kind: tuple[str, str, str, bytes] | None = None  # encoding and schema
         self.decoder: Decoder | None = None
         self.held: list[Payloads] = []
 
@@ -174,17 +177,21 @@ class _Topic:
             if sum(held) >= _PIECE:
                 self.decode()
 
-    def _set_kind(self, messages: Messages, channel: ChannelRecord) -> None:
+    def _set_kind(self, messages: Messages, channel: Channel) -> None:
         """Know how its messages are read; several channels may have them, all of one kind."""
+        schema, encoding = (
+            messages.schemas.get(channel.schema_id, NO_SCHEMA),
+            channel.message_encoding,
+        )
+        kind = encoding, schema.name, schema.encoding, schema.data
         # Of JSON, the schema is not looked at.
-        schema = messages.schemas.get(channel.schema_id, NO_SCHEMA)
-        kind = _JSON if channel.encoding == "json" else (channel.encoding, schema)
-        if self.kind not in (None, kind):
-            how = f"messages of topic {self.name!r} are of two kinds: have one topic for each"
-            raise LogError("log_encoding", self.path, how, self.name)
+        kind = _JSON if encoding == "json" else kind
         if self.kind is None:
             self.kind = kind
-            self.decoder = decoder_of(self.path, self.name, channel.encoding, schema, self.wanted)
+            self.decoder = decoder_of(self.path, self.name, encoding, schema, self.wanted)
+        elif self.kind != kind:
+            how = f"messages of topic {self.name!r} are of two kinds: have one topic for each"
+            raise LogError("log_encoding", self.path, how, self.name)
 
     def decode(self) -> None:
         """Add the rows of what is held."""
@@ -199,25 +206,8 @@ class _Topic:
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first
         # Elsewhere, a schema has reported which fields there are.
-        if self.unseen and self.kind == _JSON:
-            self._look_for_fields(payloads, decoded)
-
-    def _look_for_fields(self, payloads: Payloads, decoded: Decoded) -> None:
-        filled = {
-            path
-            for path, field in decoded.fields.items()
-            if (field.unparsed | ~field.missing).any()
-        }
-        filled |= {
-            path for path, quality in decoded.qualities.items() if quality.null_count < len(quality)
-        }
-        self.unseen = [path for path in self.unseen if path not in filled]
-        # One that is null is there, too.
-        for payload in payloads.each():
-            if not self.unseen:
-                break
-            message = json_object(payload) or {}
-            self.unseen = [path for path in self.unseen if not has(message, path)]
+        if self.kind == _JSON:
+            self.unseen = [path for path in self.unseen if not _is_in(payloads, decoded, path)]
 
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""
@@ -239,3 +229,13 @@ class _Topic:
         """Its channels at these stamps; the readings are given up."""
         rows = chosen_rows(stamps.readable)
         return self.rows.channels_at(dict.fromkeys(self.channels, (rows, stamps.time_us[rows])))
+
+
+def _is_in(payloads: Payloads, decoded: Decoded, path: FieldPath) -> bool:
+    """True if a message of JSON has a field, be it null."""
+    field, quality = decoded.fields.get(path), decoded.qualities.get(path)
+    if field is not None and (field.unparsed | ~field.missing).any():
+        return True
+    if quality is not None and quality.null_count < len(quality):
+        return True
+    return any(has(json_object(payload) or {}, path) for payload in payloads.each())

@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
+from mcap.records import Channel, Schema, Statistics
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
@@ -33,10 +34,7 @@ from pipeline.ingest.mcap.layout import (
     MESSAGE_INDEX,
     PREFIX,
     SCHEMA,
-    ChannelRecord,
     Declared,
-    Schema,
-    Statistics,
     Summary,
     fields_at,
     read_summary,
@@ -62,7 +60,7 @@ class Messages:
     """Messages that lie in one buffer, in the order of the file."""
 
     buffer: memoryview  # records, of which these messages are some
-    channels: Mapping[int, ChannelRecord]  # declared so far, by id
+    channels: Mapping[int, Channel]  # declared so far, by id
     schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
     start: NDArray[np.int64]  # of their records in the buffer
@@ -171,7 +169,7 @@ def _require_declared(path: Path, declared: Declared, counts: NDArray[np.intp]) 
 
 
 def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64]) -> None:
-    wrong = [i for i, count in statistics.counts_by_channel.items() if counts[i] != count]
+    wrong = [i for i, count in statistics.channel_message_counts.items() if counts[i] != count]
     if wrong or counts.sum() != statistics.message_count:
         raise LogError(
             "log_damaged",

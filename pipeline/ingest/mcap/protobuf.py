@@ -15,10 +15,11 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Schema
+
 from pipeline.config.dialect import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Decoded, Decoder, Payloads, Value, Wanted, one_by_one
-from pipeline.ingest.mcap.layout import Schema
 
 _WRAPPERS = frozenset(
     f"google.protobuf.{name}Value"
@@ -74,7 +75,6 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
     try:
         from google.protobuf.message import DecodeError
         from mcap.exceptions import McapError
-        from mcap.records import Schema as SchemaRecord
         from mcap_protobuf.decoder import DecoderFactory
     except ImportError as error:
         raise LogError(
@@ -83,9 +83,8 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
             "its messages are Protobuf: install the extra protobuf "
             "(pip install 'motor-leakage[protobuf]')",
         ) from error
-    record = SchemaRecord(1, schema.data, "protobuf", schema.name)
     try:
-        decode: Any = DecoderFactory().decoder_for("protobuf", record)
+        decode: Any = DecoderFactory().decoder_for("protobuf", schema)
         return type(decode(b"")), DecodeError
     # The runtime raises TypeError on what contradicts itself, KeyError on what is not there.
     except (McapError, DecodeError, TypeError, LookupError, ValueError, RecursionError) as error:

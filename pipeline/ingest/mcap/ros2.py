@@ -1,10 +1,9 @@
 """Messages of ROS 2 in CDR, the encoding of DDS, as a definition in ``ros2msg`` says.
 
-The format's own package reads definitions and messages. Of messages of one length, whose texts and
-sequences have one length too, it reads the first, and says where each number stands in it; the
-wanted ones are then taken from all of these messages at once. Where they have too many layouts, or
-one is cut, it reads each message, which takes some thirty times as long. It reads no ``wstring``
-and no types of ROS 1.
+The format's own package reads definitions. Where numbers stand in a message depends on the lengths
+of its texts and sequences alone: of messages that are alike in these, the wanted numbers are taken
+from all at once. Where too many are not alike, or one is cut, each is read by itself, which takes
+some thirty times as long. No ``wstring`` is read, and no types of ROS 1.
 """
 
 from __future__ import annotations
@@ -12,9 +11,8 @@ from __future__ import annotations
 import io
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -22,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from mcap_ros2._cdr import CdrReader
-from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef, _read_complex_type
+from mcap.records import Schema
+from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef
 from mcap_ros2._vendor.rosidl_adapter.parser import MessageSpecification
 from numpy.typing import NDArray
 
@@ -31,6 +29,7 @@ from pipeline.config.dialect import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.decoding import (
+    ELEMENTS_SHOWN,
     Decoded,
     Decoder,
     Payloads,
@@ -42,25 +41,25 @@ from pipeline.ingest.mcap.decoding import (
     stamps_of_pairs,
     value_at,
 )
-from pipeline.ingest.mcap.layout import Schema, column
+from pipeline.ingest.mcap.layout import column
 from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 
-_ORDERS = {b"\x00\x00", b"\x00\x01"}
+_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 """Representation identifiers of plain CDR: high byte first, low byte first."""
 
 _OTHERS = {bytes([0, mark]) for mark in (*range(2, 12), *range(0x10, 0x16))}
 """Identifiers of PL_CDR, XML, CDR2, D_CDR2 and PL_CDR2 (DDS-XTypes 1.3, table 60)."""
 
+_NUMBERS = "bool byte char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float32 float64"
+_FORMATS = dict(zip(_NUMBERS.split(), "?BbbBhHiIqQfd", strict=True))
 _HEAD = 4
+_TEXT = "text"
 _BROKEN = "a message that is cut or not in CDR"
 _MOST_NAMES = 40
 _MOST_LAYOUTS = 16
 
 MOST_READ = 2**18
 """Numbers of a message; definitions of a few lines may have any number, one in another."""
-
-_Definitions = dict[str, MessageSpecification]
-"""Definitions of messages by ``package/Name``."""
 
 
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
@@ -75,21 +74,22 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
         ``log_encoding`` where no message is in plain CDR, and ``log_too_large``.
     """
     paths = (*wanted.readings, *wanted.qualities)
-    topic_of = _Topic(path, topic, _short(schema.name), _definitions(path, topic, schema))
-    sample = topic_of.sample(schema, paths)
+    stamp = () if wanted.stamp is None else (wanted.stamp,)
+    steps = [step for at in (*paths, *stamp) for step in at if isinstance(step, int)]
+    layout = _Layout(path, topic, schema, 1 + max(steps, default=0))
+    sample = layout.sample()
     for number in paths:
         _require_number(path, topic, sample, number)
-    stamp = () if wanted.stamp is None else (wanted.stamp,)
     values = {at: partial(value_at, path=at) for at in (*paths, *stamp)}
     parts = _stamp_parts(sample, wanted.stamp)
 
     def tree(payload: bytes) -> Any:
-        message = topic_of.read(payload, _Reader)
-        return None if message is None else _tree(message)
+        places = layout.places(payload)
+        return None if places is None else _filled(places, payload)
 
     def decode(payloads: Payloads) -> Decoded:
         _require_plain(path, topic, payloads)
-        numbers = _at_once(payloads, topic_of, (*paths, *parts))
+        numbers = _at_once(payloads, layout, (*paths, *parts))
         if numbers is None:
             return one_by_one(list(map(tree, payloads.each())), wanted, values, _BROKEN)
         none, floats = np.zeros(payloads.length.size, np.bool_), np.float64
@@ -100,63 +100,12 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
     return Decoder(decode, tree)
 
 
-@dataclass(frozen=True, slots=True)
-class _Topic:
-    """The messages of a topic, as the package reads them."""
-
-    path: Path
-    name: str
-    root: str  # the message's own definition
-    definitions: _Definitions
-    classes: dict[str, type] = field(default_factory=dict)  # the package's, of messages
-
-    def read(self, payload: bytes, reader_of: Callable[[bytes], CdrReader]) -> Any:
-        """A message; None for one that is cut, or in another encoding."""
-        if payload[:2] not in _ORDERS or len(payload) < _HEAD:
-            return None
-        reader, root = reader_of(payload), self.definitions[self.root]
-        try:
-            message = _read_complex_type(root, self.definitions, reader, self.classes)
-        except struct.error:
-            return None
-        except OverflowError as error:
-            raise _too_large(self.path, self.name) from error
-        return message if reader.offset <= len(payload) else None
-
-    def sample(self, schema: Schema, paths: Sequence[FieldPath]) -> Any:
-        """A message of zeros, as dicts, lists and values; its sequences are as long as is asked.
-
-        Raises LogError as `ros2_decoder`.
-        """
-        longest = 1 + max((step for at in paths for step in at if isinstance(step, int)), default=0)
-        zeros = b"\0\1" + bytes(2 + 8 * MOST_READ)
-        try:
-            message = self.read(zeros, partial(_SampleReader, length=longest))
-        except NotImplementedError as error:
-            how = f"messages of topic {self.name!r} have a field that is not read: {error}"
-            raise LogError("log_encoding", self.path, how, self.name) from error
-        except (LookupError, ValueError, RecursionError) as error:
-            raise _damaged(self.path, schema, error) from error
-        if message is None:
-            raise _too_large(self.path, self.name)
-        return _tree(message)
-
-
-def _tree(node: Any) -> Any:
-    """A value as dicts, lists and plain values."""
-    names = getattr(type(node), "__slots__", ())
-    if names:
-        return {name: _tree(getattr(node, name)) for name in names}
-    if isinstance(node, list | bytes):
-        return [_tree(element) for element in node]
-    return int(node) if isinstance(node, bool) else node
-
-
 def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
+    """Refuse messages none of which is in plain CDR."""
     if payloads.first[:2] in _ORDERS:
         return
     heads = {payload[:2] for payload in payloads.each()}
-    if heads & _OTHERS and not heads & _ORDERS:
+    if heads & _OTHERS and not heads & _ORDERS.keys():
         raise LogError(
             "log_encoding",
             path,
@@ -169,8 +118,8 @@ def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
 # Definitions
 
 
-def _definitions(path: Path, topic: str, schema: Schema) -> _Definitions:
-    """Definitions of a message and of those that it is made of."""
+def _definitions(path: Path, topic: str, schema: Schema) -> dict[str, MessageSpecification]:
+    """Definitions of a message and of those that it is made of, by ``package/Name``."""
     # rosbag2 puts a service's own definition there, or the package refuses the name.
     if re.search(rb"^(SRV:|---)", schema.data, re.MULTILINE) or "/srv/" in schema.name:
         how = f"messages of topic {topic!r} are events of a service, which are not read"
@@ -192,18 +141,8 @@ def _definitions(path: Path, topic: str, schema: Schema) -> _Definitions:
     return definitions
 
 
-def _short(name: str) -> str:
-    """``package/Name`` of ``package/msg/Name``."""
-    return f"{name.split('/')[0]}/{name.split('/')[-1]}"
-
-
 def _damaged(path: Path, schema: Schema, error: Exception) -> LogError:
     return LogError("log_damaged", path, f"the definition of {schema.name} cannot be read: {error}")
-
-
-def _too_large(path: Path, topic: str) -> LogError:
-    how = f"messages of topic {topic!r} have more than {MOST_READ} numbers"
-    return LogError("log_too_large", path, how, topic)
 
 
 def _require_number(path: Path, topic: str, sample: Any, wanted: FieldPath) -> None:
@@ -232,82 +171,127 @@ def _stamp_parts(sample: Any, stamp: FieldPath | None) -> tuple[FieldPath, ...]:
 # Messages
 
 
-class _Payload(bytes):
-    """A payload that counts what is read of it: numbers, and arrays of bytes."""
-
-    n_read = 0
-
-    def __getitem__(self, part: Any) -> Any:
-        self.count_one()
-        return super().__getitem__(part)
-
-    def count_one(self) -> None:
-        """Count one more; raises OverflowError if these are too many."""
-        self.n_read += 1
-        if self.n_read > MOST_READ:
-            raise OverflowError
-
-
-class _Reader(CdrReader):
-    """The package's reader, which does not read without an end."""
-
-    data: _Payload
-
-    def __init__(self, payload: bytes) -> None:
-        super().__init__(_Payload(payload))
-
-    def _unpack(self, fn: Any, size: int) -> Any:
-        self.data.count_one()
-        return super()._unpack(fn, size)
-
-    def string_raw(self, length: int) -> str:
-        """A text, in whatever encoding."""
-        return self.uint8_array(length).decode(errors="replace")
-
-
-class _SampleReader(_Reader):
-    """A reader of a message of which all texts and sequences have one length."""
-
-    def __init__(self, payload: bytes, length: int) -> None:
-        super().__init__(payload)
-        self.length = length
-
-    def uint32(self) -> int:
-        """A length: for numbers of a message the package takes the class's own function."""
-        return self.length
-
-
 class _Place(NamedTuple):
-    """Where a number stands in a payload, and its type."""
+    """Where a number or a text stands in a payload."""
 
     at: int
-    kind: str
-
-    def __ne__(self, _: object) -> Any:
-        """The place of a truth value, which the package makes by comparing a byte with 0."""
-        return _Place(self.at, "?")
+    kind: str  # format of a number as of `struct`, or `_TEXT`
+    size: int
 
 
-class _PlaceReader(_Reader):
-    """A reader that gives the places of numbers instead of the numbers, but for lengths."""
+class _Layout:
+    """Goes through messages and gives places in the place of numbers and texts."""
 
-    def __init__(self, payload: bytes, lengths: list[int]) -> None:
-        super().__init__(payload)
-        self.lengths = lengths  # where these stand
+    def __init__(self, path: Path, topic: str, schema: Schema, longest: int) -> None:
+        self.path, self.topic, self.schema = path, topic, schema
+        package, *_, name = schema.name.split("/")
+        self.root = f"{package}/{name}"
+        self.definitions = _definitions(path, topic, schema)
+        self.longest = longest  # elements that are wanted of a sequence
+        self.lengths: list[int] = []  # places where a message states those of its sequences
 
-    def _unpack(self, fn: Any, size: int) -> Any:
-        super()._unpack(fn, size)
-        return _Place(self.offset - size, fn.__self__.format)
+    def places(self, payload: bytes, length: int | None = None) -> Any:
+        """Return a message as dicts, lists and places; None for one that is cut, or no plain CDR.
 
-    def uint32(self) -> int:
-        """A length, as of `_SampleReader`."""
-        place: Any = super().uint32()
+        With `length`, all its texts and sequences are so long, whatever it says.
+        """
+        if payload[:2] not in _ORDERS or len(payload) < _HEAD:
+            return None
+        self.payload, self.length, self.lengths = payload, length, []
+        self.order, self.at, self.n_read = _ORDERS[payload[:2]], _HEAD, 0
+        try:
+            return self._message(self.root)
+        except EOFError:
+            return None
+        except OverflowError as error:
+            raise self._too_large() from error
+
+    def sample(self) -> Any:
+        """Return a message of zeros with sequences as long as is wanted; raises as the decoder."""
+        zeros = b"\0\1" + bytes(2 + 8 * MOST_READ)
+        try:
+            places = self.places(zeros, self.longest)
+        except NotImplementedError as error:
+            how = f"messages of topic {self.topic!r} have a field that is not read: {error}"
+            raise LogError("log_encoding", self.path, how, self.topic) from error
+        except (LookupError, ValueError, RecursionError) as error:
+            raise _damaged(self.path, self.schema, error) from error
+        if places is None:
+            raise self._too_large()
+        return _filled(places, zeros)
+
+    def _too_large(self) -> LogError:
+        how = f"messages of topic {self.topic!r} have more than {MOST_READ} numbers"
+        return LogError("log_too_large", self.path, how, self.topic)
+
+    def _message(self, name: str) -> dict[str, Any]:
+        fields = self.definitions[name].fields
+        if not fields:
+            self._take(1)  # DDS knows no empty message: a byte stands for it
+        return {field.name: self._value(field.type) for field in fields}
+
+    def _value(self, kind: Any) -> Any:
+        if not kind.is_array:
+            return self._single(kind)
+        count = kind.array_size if kind.is_fixed_size_array() else self._length()
+        if not kind.is_primitive_type() or kind.type not in _FORMATS:
+            return [self._single(kind) for _ in range(count)]
+        if not count:
+            return []
+        # Bytes, such as those of a picture, count as one number.
+        first = self._number(kind.type, count, 1 if kind.type in ("byte", "uint8") else count)
+        shown = range(min(count, max(self.longest, ELEMENTS_SHOWN)))
+        return [first._replace(at=first.at + i * first.size) for i in shown]
+
+    def _single(self, kind: Any) -> Any:
+        if not kind.is_primitive_type():
+            return self._message(f"{kind.pkg_name}/{kind.type}")
+        if kind.type == "string":
+            size = self._length()
+            return _Place(self._take(size), _TEXT, size)
+        if kind.type not in _FORMATS:
+            raise NotImplementedError(f"type {kind.type}")
+        return self._number(kind.type)
+
+    def _length(self) -> int:
+        if self.length is not None:
+            return self.length
+        place = self._number("uint32")
         self.lengths.append(place.at)
-        return int(np.frombuffer(self.data, place.kind, 1, place.at)[0])
+        return int(_filled(place, self.payload))
+
+    def _number(self, kind: str, count: int = 1, n_read: int = 1) -> _Place:
+        """Return the place of the first of some numbers, aligned to their size."""
+        form = self.order + _FORMATS[kind]
+        size = struct.calcsize(form)
+        self.at += (_HEAD - self.at) % size
+        return _Place(self._take(count * size, n_read), form, size)
+
+    def _take(self, size: int, n_read: int = 1) -> int:
+        """Pass over some bytes, and return where they begin."""
+        begin, self.at = self.at, self.at + size
+        self.n_read += n_read
+        if self.n_read > MOST_READ:
+            raise OverflowError
+        if self.at > len(self.payload):
+            raise EOFError
+        return begin
+
+
+def _filled(node: Any, payload: bytes) -> Any:
+    """Return dicts and lists with what stands at their places."""
+    if isinstance(node, dict):
+        return {name: _filled(inner, payload) for name, inner in node.items()}
+    if isinstance(node, list):
+        return [_filled(inner, payload) for inner in node]
+    if node.kind == _TEXT:
+        return payload[node.at : node.at + node.size].removesuffix(b"\0").decode(errors="replace")
+    number = struct.unpack_from(node.kind, payload, node.at)[0]
+    return int(number) if isinstance(number, bool) else number
 
 
 def _at_once(
-    payloads: Payloads, topic: _Topic, paths: Sequence[FieldPath]
+    payloads: Payloads, layout: _Layout, paths: Sequence[FieldPath]
 ) -> dict[FieldPath, NDArray[Any]] | None:
     """Numbers at some paths; None unless messages have few layouts, and each has all the numbers.
 
@@ -317,21 +301,20 @@ def _at_once(
     for rows, length, text in payloads.by_length():
         left, size = np.arange(rows.size), length + 1
         for _ in range(_MOST_LAYOUTS):
-            first, lengths = bytes(text[left[0] * size + 1 :][:length]), list[int]()
-            message = topic.read(first, partial(_PlaceReader, lengths=lengths))
-            if message is None:
-                return None
+            first = bytes(text[left[0] * size + 1 :][:length])
+            message = layout.places(first)
             same = column(text, 1, "V2", size)[left] == np.frombuffer(first, "V2", 1)
-            for at in lengths:
+            for at in layout.lengths:
                 same &= column(text, at + 1, "V4", size)[left] == np.frombuffer(first, "V4", 1, at)
             own, left = left[same], left[~same]
-            tree = _tree(message)
             for path in paths:
-                place = value_at(tree, path)
-                if not isinstance(place, _Place):
+                place = value_at(message, path)
+                if not isinstance(place, _Place) or place.kind == _TEXT:
                     return None
-                values = column(text, place.at + 1, place.kind.replace("?", "u1"), size)[own]
-                values = values != 0 if place.kind == "?" else values
+                is_truth = place.kind.endswith("?")
+                kind = "u1" if is_truth else place.kind
+                values = column(text, place.at + 1, kind, size)[own]
+                values = values != 0 if is_truth else values
                 empty = np.empty(payloads.length.size, values.dtype.newbyteorder("="))
                 numbers.setdefault(path, empty)[rows[own]] = values
             if not left.size:

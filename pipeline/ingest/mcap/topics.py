@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel, Schema
 
 from pipeline.config.dialect import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Wanted, leaves, number_of, value_at
-from pipeline.ingest.mcap.layout import NO_SCHEMA, ChannelRecord, Schema, read_summary
+from pipeline.ingest.mcap.layout import NO_SCHEMA, read_summary
 from pipeline.ingest.mcap.log import decoder_of
 from pipeline.ingest.mcap.messages import Messages, read_messages
 
@@ -56,7 +57,7 @@ def read_topics(path: Path) -> list[Topic]:
                 count = summary.stated_count(channel.topic)
                 units = {**dict(_schema_units(schema)), **dict(_metadata_units(channel))}
                 topics[channel.topic] = Topic(
-                    channel.topic, channel.encoding, schema.name, count, units=units
+                    channel.topic, channel.message_encoding, schema.name, count, units=units
                 )
         for topic in topics.values():
             _take(topic, messages)
@@ -88,8 +89,8 @@ def _decode(path: Path, topic: Topic, schema: Schema) -> None:
     topic.texts = {at: text for tree in whole for at, text in leaves(tree) if isinstance(text, str)}
 
 
-def _metadata_units(channel: ChannelRecord) -> Iterator[tuple[FieldPath, str]]:
-    for key, value in channel.metadata:
+def _metadata_units(channel: Channel) -> Iterator[tuple[FieldPath, str]]:
+    for key, value in channel.metadata.items():
         if key.lower() in UNIT_KEYS:
             yield (), value
 

@@ -14,11 +14,10 @@ import pytest
 import zstandard
 
 import pipeline.ingest.csv
-import pipeline.ingest.csv_text
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.csv_text import read_lines
+from pipeline.ingest.csv import read_lines
 
 from .sources import Source, column
 
@@ -202,7 +201,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
         f"{HEAD}{ROWS * 12_000}{DAY}0Z,{'1' * (5 * 2**20)},2\n{ROWS * 12_000}",
         *({}, "log_damaged: the rows are ambiguous"),
     ),
-    "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: SQLite"),
+    "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: not text"),
     "nothing but zero bytes": (bytes(5000), {}, "log_damaged: zero bytes"),
     **{
         f"a long table, {name}": (f"time,tag,v\n{row}\n", LONG, code)
@@ -426,7 +425,7 @@ def test_the_span_of_a_long_file_needs_its_ends_only(tmp_path: Path) -> None:
 def test_a_file_too_large_for_memory_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.ingest.csv_text, "LARGEST_TEXT", 20)
+    monkeypatch.setattr(pipeline.ingest.csv, "LARGEST_TEXT", 20)
     assert error(tmp_path, rows("1,2")).code == "log_too_large"
 
 
@@ -434,11 +433,11 @@ def test_a_bomb_is_stopped_long_before_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By what has been unpacked of it so far: rows that are kept until then take memory."""
-    monkeypatch.setattr(pipeline.ingest.csv_text, "_RATIO_FROM", 2**20)
+    monkeypatch.setattr(pipeline.ingest.csv, "_RATIO_FROM", 2**20)
     path = tmp_path / "log.csv.gz"
     noise = random.Random(5).randbytes(300_000)  # noqa: S311
     path.write_bytes(gzip.compress(b"1,2\n" * 2**23, 9) + gzip.compress(noise))
     sizes: list[int] = []
     with pytest.raises(LogError, match="expand to more"):
-        sizes.extend(len(data) for data in pipeline.ingest.csv_text.unpacked(path, 2**18))
+        sizes.extend(len(data) for data in pipeline.ingest.csv.unpacked(path, 2**18))
     assert sum(sizes) < 2**25

@@ -17,8 +17,8 @@ import pipeline.ingest.mcap.log
 from pipeline.config.channels import Channels
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
+from pipeline.ingest.cells import quality_states
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.quality import quality_states
 from tests.dialects.csv_text import Csv
 
 from .mcap.protobuf_files import Field, Member, class_of, declared, made_of, protobuf, set_of

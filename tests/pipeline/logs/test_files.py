@@ -175,7 +175,7 @@ class TestSliceNight:
     def test_half_open(self) -> None:
         start, end = self.HERE.start_us, self.HERE.end_us
         log = self.log(start - 1, start, end - 1, end)
-        found = slice_night([log], self.HERE)["speed"]
+        found = slice_night([log], self.HERE, {})["speed"]
         assert found.time_us.tolist() == [start, end - 1]
         assert found.missing.tolist() == [False, True]
 
@@ -186,7 +186,7 @@ class TestSliceNight:
             self.log(start + 20, start + 30, value=1.0, unparsed=2),
             self.log(start + 10, start + 20, value=2.0, unparsed=3),
         ]
-        found = slice_night(iter(parts), self.HERE)["speed"]
+        found = slice_night(iter(parts), self.HERE, {})["speed"]
         assert (found.time_us - start).tolist() == [20, 30, 10, 20]
         assert found.value.tolist() == [1.0, 1.0, 2.0, 2.0]
         assert found.unparsed == 5

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from pipeline.logs.dates import date_in, with_told_nights
+from pipeline.logs.dates import date_in, with_known_nights
 from pipeline.logs.processed import FileRecord
 
 LATEST = dt.date(2026, 6, 1)
@@ -23,7 +23,7 @@ def readable(name: str, *nights: str) -> FileRecord:
 
 def told(*records: FileRecord, before: Sequence[FileRecord] = ()) -> dict[str, FileRecord]:
     known = {record.path: record for record in before}
-    return with_told_nights({record.path: record for record in records}, known, LATEST)
+    return with_known_nights({record.path: record for record in records}, known, LATEST)
 
 
 def test_as_read_before() -> None:

@@ -1,4 +1,4 @@
-"""The quality that a log states of its own samples: good, or anything else."""
+"""Cells of a log: their types, blank ones, and the quality that they state of samples."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.config.channels import QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.arrow_types import is_number, is_text
 
 _GOOD, _BAD, _BLANK = 0, 1, 2
 """States of a cell of a quality column."""
@@ -20,6 +20,25 @@ _GOOD, _BAD, _BLANK = 0, 1, 2
 _MOST_VALUES = 1000
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?")
 _TRUTH = {"true": 1.0, "false": 0.0}
+
+
+def is_text(kind: pa.DataType) -> bool:
+    """True for text of any layout."""
+    types = pa.types
+    return bool(types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind))
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """True for integers, decimals and floating-point numbers; truth values are none."""
+    types = pa.types
+    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))
+
+
+def nulls(column: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
+    """True for each null of a column."""
+    if not column.null_count:
+        return np.zeros(len(column), np.bool_)
+    return pl.Series(column.is_null()).to_numpy()
 
 
 def quality_states(
