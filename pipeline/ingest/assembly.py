@@ -81,10 +81,7 @@ def raw_channel(
 ) -> RawChannel:
     """Channel of readings as logged, with their `quality_states` if the log has them.
 
-    Raises
-    ------
-    LogError
-        ``log_type``: the channel holds something, but not one number.
+    Raises LogError: ``log_type``: the channel holds something, but not one number.
     """
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
@@ -236,10 +233,7 @@ def judged(
     The parts are judged together; `name` says what the stamps are called and how they were read.
     The future begins after `latest_us` [µs since 1970].
 
-    Raises
-    ------
-    LogError
-        ``log_time``: more than half of the rows have no good time.
+    Raises LogError: ``log_time``: more than half of the rows have no good time.
     """
     rows = sum(part.readable.size for part in parts)
     ahead = sum(int(np.count_nonzero(part.time_us > latest_us)) for part in parts)
@@ -355,11 +349,8 @@ class Samples:
 def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
     """Log of what an installed reader found, by channel: converted, judged and counted.
 
-    Raises
-    ------
-    LogError
-        ``log_time``: more than half of the time stamps lie in the future, before 1990 or after
-        2200; ``log_reader``: a channel's quality is asked for, and there is none.
+    Raises LogError: ``log_time``: more than half of the time stamps lie in the future, before 1990
+    or after 2200; ``log_reader``: a channel's quality is asked for, and there is none.
     """
     counts = (samples[name].time_us for name in file.channels)
     parts = [placed(written_as_numbers(count, "epoch_us"), "UTC") for count in counts]

@@ -49,10 +49,8 @@ def quality_states(
     Text is compared without regard to case and blanks around it, and as a number where both are
     numbers: 192, 192.0 and "192" are one, and so are true and 1.
 
-    Raises
-    ------
-    LogError
-        ``log_type``: the column holds neither text nor numbers, or too many different ones.
+    Raises LogError: ``log_type``: the column holds neither text nor numbers, or too many different
+    ones.
 
     Examples
     --------

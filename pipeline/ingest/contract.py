@@ -255,10 +255,7 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
 
     Samples after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
 
-    Raises
-    ------
-    LogError
-        The file cannot be read, or not be trusted; codes in `docs/operations.md`.
+    Raises LogError: The file cannot be read, or not be trusted; codes in `docs/operations.md`.
     """
     with _opened(path, logs, channels, latest_us) as (reader, file):
         log = validate(reader.read(file), file.channels, file.latest_us)
@@ -308,11 +305,8 @@ def _opened(
 
     What an installed reader does wrong within is an error of the log.
 
-    Raises
-    ------
-    LogError
-        What is no file; ``log_reader``: there is no such reader or option, it cannot be loaded or
-        used, or fails.
+    Raises LogError: What is no file; ``log_reader``: there is no such reader or option, it cannot
+    be loaded or used, or fails.
     """
     with readable(path):
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -50,10 +49,7 @@ class Columns:
 def wanted_columns(file: LogFile) -> Columns:
     """Columns that hold time and channels in the layout of a log.
 
-    Raises
-    ------
-    LogError
-        ``log_column_missing``: the file's name is that of no channel.
+    Raises LogError: ``log_column_missing``: the file's name is that of no channel.
     """
     logs, channels = file.logs, _channels_of(file)
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
@@ -74,7 +70,9 @@ def _channels_of(file: LogFile) -> Channels:
     if file.logs.layout != "file_per_channel":
         return file.channels
     here = {
-        name: channel for name, channel in file.channels.items() if is_of_file(channel, file.path)
+        name: channel
+        for name, channel in file.channels.items()
+        if fnmatchcase(file.path.name, channel.source)
     }
     if not here:
         patterns = ", ".join(repr(channel.source) for channel in file.channels.values())
@@ -91,11 +89,6 @@ def _column_of(file: LogFile, channel: Channel) -> str:
         return channel.source
     own = channel.value_column if file.logs.layout == "file_per_channel" else ""
     return own or file.logs.value_column
-
-
-def is_of_file(channel: Channel, path: Path) -> bool:
-    """True if a file of one channel holds this one."""
-    return fnmatchcase(path.name, channel.source)
 
 
 class RawTable:
@@ -161,12 +154,9 @@ class RawTable:
     def log(self, refused: Mapping[str, int]) -> RawLog:
         """All rows as a log, with counts of those left out before; the table is empty afterwards.
 
-        Raises
-        ------
-        LogError
-            ``log_type``; ``log_time`` where more than half of the rows have no time;
-            ``log_column_missing`` where a table has rows, and none of the motor, or a long one
-            none of a wanted channel.
+        Raises LogError: ``log_type``; ``log_time`` where more than half of the rows have no time;
+        ``log_column_missing`` where a table has rows, and none of the motor, or a long one none of
+        a wanted channel.
         """
         file, logs = self.file, self.file.logs
         if not self._has_motor and self._seen:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import datetime as dt
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,11 +33,10 @@ _DATES = tuple(map(re.compile, _FORMS))
 
 def date_in(name: str) -> dt.date | None:
     """Return the last date in a file's name, or None without one."""
-    found = _DATE_IN_NAME.findall(name)
-    try:
-        return dt.date(*map(int, found[-1])) if found else None
-    except ValueError:
-        return None
+    dates = _DATE_IN_NAME.findall(name)
+    with suppress(ValueError):
+        return dt.date(*map(int, dates[-1])) if dates else None
+    return None
 
 
 def dates_in(name: str) -> set[dt.date]:
@@ -49,22 +49,15 @@ def dates_in(name: str) -> set[dt.date]:
     >>> sorted(map(str, dates_in("W1_02.01.2026.csv")))
     ['2026-01-02', '2026-02-01']
     """
-    plain, found = _PARTITION.sub("", name), set[dt.date]()
+    plain, dates = _PARTITION.sub("", name), set[dt.date]()
     for at, form in enumerate(_DATES):
         for match in form.finditer(plain):
             year, first, second = (int(match[part]) for part in "yab")
             orders = [(first, second)] if at < 2 else [(first, second), (second, first)]
             for month, day in orders:
-                if 1 <= month <= 12 and 1 <= day <= 31:
-                    found |= set(_date(year, month, day))
-    return found
-
-
-def _date(year: int, month: int, day: int) -> Iterator[dt.date]:
-    try:
-        yield dt.date(year, month, day)
-    except ValueError:
-        return
+                with suppress(ValueError):
+                    dates.add(dt.date(year, month, day))
+    return dates
 
 
 def days_off(name: str, first_us: int, last_us: int) -> int | None:
@@ -93,17 +86,13 @@ def without_misdated(records: Mapping[str, FileRecord]) -> dict[str, FileRecord]
     odd = dated_otherwise(records)
     n_dated = sum(1 for name, record in records.items() if record.status == "ok" and dates_in(name))
     if 2 * len(odd) >= n_dated:
-        return dict(records)
-    return {
-        name: _misdated(record, odd[name]) if name in odd else record
-        for name, record in records.items()
-    }
-
-
-def _misdated(record: FileRecord, days: int) -> FileRecord:
-    message = misdated_message(record, days)
-    bare = replace(record, first_us=None, last_us=None, nights=())
-    return failed(bare, LogError("log_misdated", Path(record.path), message))
+        odd = {}
+    refused = dict(records)
+    for name, days in odd.items():
+        error = LogError("log_misdated", Path(name), misdated_message(records[name], days))
+        bare = replace(records[name], first_us=None, last_us=None, nights=())
+        refused[name] = failed(bare, error)
+    return refused
 
 
 def misdated_message(record: FileRecord, days: int) -> str:
@@ -141,16 +130,14 @@ def with_known_nights(
         held, named = before.get(record.path), date_in(record.path)
         if held is not None and held.nights:
             nights, how = labels_of(held), "by what it held before"
-        elif named is not None:
-            nights, how = {named + lag}, "by its name"
         else:
+            nights, how = {named + lag} if named else set(), "by its name"
+        if not nights:
             return record
         first, last = min(known or nights) - FARTHEST_NIGHT, max(known or nights) + FARTHEST_NIGHT
-        kept = sorted(map(str, (night for night in nights if first <= night <= min(last, latest))))
-        if not kept:
-            return record
+        near = sorted(map(str, (night for night in nights if first <= night <= min(last, latest))))
         message = f"{record.message} (night known {how})"
-        return replace(record, nights=tuple(kept), message=message)
+        return replace(record, nights=tuple(near), message=message) if near else record
 
     return {
         name: dated_by_neighbours(record) if has_no_span(record) and not record.nights else record

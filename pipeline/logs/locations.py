@@ -29,21 +29,9 @@ COPIES = 3
 
 
 class FolderLogs:
-    """Logs in a folder, by path relative to the log root.
+    """Logs in a folder, by path relative to the log root; `absent` are named and not there.
 
-    Parameters
-    ----------
-    spec, latest_us
-        The motor, and its logs' latest time, as `inspect_log` takes them.
-    silent
-        Files and patterns that are not looked at, as of `find_logs`.
-
-    Attributes
-    ----------
-    names
-        Those that there are, sorted.
-    absent
-        Those that are named in the config and absent.
+    `latest_us` is as of `inspect_log`; files and patterns that are `silent` are not opened.
     """
 
     def __init__(
@@ -65,9 +53,9 @@ class FolderLogs:
             path = self.path(name)
         except LogError as error:
             return failed(record, error)
-        found = inspect_log(record, path, before, self._spec, self._latest_us)
+        new = inspect_log(record, path, before, self._spec, self._latest_us)
         why = unsettled(record, path, self._spec.file.logs.settle_s) or self.change_of(record)
-        return found if why is None else failed(found, why)
+        return new if why is None else failed(new, why)
 
     def _seen(self, name: str) -> FileRecord:
         """Return the record of a log that is not opened."""

@@ -32,31 +32,18 @@ FATES = ("read", "unchanged", "growing", "failed", "left")
 
 
 class MotorLogs:
-    """The log files of a motor, each read once while it is needed.
+    """The log files of a motor, by path relative to the log root, each read once while needed.
 
     Parameters
     ----------
-    spec
-        The motor.
     before
         Former records of its files.
     latest_us
         Samples after this time are refused [µs since 1970].
     silent
-        Those that did not answer: none is opened.
+        Files that did not answer: none is opened.
     log_records
-        Records of the files as they are; None: they are looked at.
-
-    Attributes
-    ----------
-    files
-        Present record of each file, by path relative to the log root.
-    before
-        Former records.
-    absent
-        Those that are named in the config and absent.
-    read
-        Paths of those whose content was read.
+        Records of the files as they are; None: they are inspected.
     """
 
     def __init__(
@@ -72,11 +59,11 @@ class MotorLogs:
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self.absent: list[str] = []
-        found = self._look() if log_records is None else log_records
+        self.absent: list[str] = []  # those that the config names, and are not there
+        records = self._inspect() if log_records is None else log_records
         latest = night_of(latest_us, spec.settings.nights)
-        self.files = with_known_nights(without_misdated(found), before, latest)
-        self.read: set[str] = set()
+        self.files = with_known_nights(without_misdated(records), before, latest)
+        self.read: set[str] = set()  # those whose content was read
         self.n_moved = 0  # logs that turned out to have other nights than before they were read
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
@@ -91,13 +78,15 @@ class MotorLogs:
         """Return messages about globs that match no log."""
         return self._source.unmatched()
 
-    def _look(self) -> dict[str, FileRecord]:
+    def _inspect(self) -> dict[str, FileRecord]:
         """Return each file as its ends tell it."""
         self.absent = self._source.absent
-        found = {name: self._look_at(name) for name in self._source.names}
-        return {name: replace(record, read_with=self._read_with) for name, record in found.items()}
+        return {
+            name: replace(self._inspect_log(name), read_with=self._read_with)
+            for name in self._source.names
+        }
 
-    def _look_at(self, name: str) -> FileRecord:
+    def _inspect_log(self, name: str) -> FileRecord:
         still_alive()
         known = self._known(name)
         if name not in self._silent:
@@ -143,12 +132,12 @@ class MotorLogs:
             return set()
         record, nights = self.files[name], self._spec.settings.nights
         ends = {each.last_us for each in (record, self.before.get(name, record))}
-        found: set[dt.date] = set()
-        for last_us in ends:
-            if last_us is not None:
-                last = night_of(last_us + self._reach_us, nights)
-                found |= set(nights_between(night_of(last_us, nights), last))
-        return found
+        reached = (
+            nights_between(night_of(end, nights), night_of(end + self._reach_us, nights))
+            for end in ends
+            if end is not None
+        )
+        return set().union(*reached)
 
     def present(self) -> set[dt.date]:
         """Return nights in which any file has samples."""
@@ -165,36 +154,32 @@ class MotorLogs:
 
     def contents_of(self, label: dt.date) -> tuple[str, ...]:
         """Return hashes of the contents of a night's files, cut short, in order."""
-        found = (self.files[name] for name in self.of_night(label))
-        return tuple(record.sha256[:HASH_LENGTH] for record in found if record.sha256)
+        records = (self.files[name] for name in self.of_night(label))
+        return tuple(record.sha256[:HASH_LENGTH] for record in records if record.sha256)
 
     def has_contents(self, hashes: Collection[str]) -> bool:
         """Return True where all contents of some hashes are there, under whatever names."""
-        return bool(hashes) and self._sound.issuperset(hashes)
-
-    @property
-    def _sound(self) -> set[str]:
-        found = (file for file in self.files.values() if file.status == "ok")
-        return {record.sha256[:HASH_LENGTH] for record in found if record.sha256}
+        sound = (record.sha256 for record in self.files.values() if record.status == "ok")
+        return bool(hashes) and {own[:HASH_LENGTH] for own in sound if own}.issuperset(hashes)
 
     def of_night(self, label: dt.date) -> list[str]:
         """Return files of a night, in order of time."""
-        names = [name for name, record in self.files.items() if label in labels_of(record)]
-        return self._in_order(names)
+        names = (name for name, record in self.files.items() if label in labels_of(record))
+        return sorted(names, key=self._begin)
 
     def before_night(self, here: Night) -> list[str]:
         """Files that end before a night, and so late that an on-change channel may hold into it."""
-        names = [
+        names = (
             name
             for name, record in self.files.items()
             if record.status == "ok"
             and record.last_us is not None
             and here.start_us - self._reach_us <= record.last_us < here.start_us
-        ]
-        return self._in_order(names)
+        )
+        return sorted(names, key=self._begin)
 
-    def _in_order(self, names: Collection[str]) -> list[str]:
-        return sorted(names, key=lambda name: (self.files[name].first_us or 0, name))
+    def _begin(self, name: str) -> tuple[int, str]:
+        return self.files[name].first_us or 0, name
 
     def content(self, name: str) -> RawLog | None:
         """Return a log's content, read once while it is needed.
@@ -211,21 +196,19 @@ class MotorLogs:
         if name in self._silent:
             self.files[name] = self._unanswered(record)
             return None
-        content: RawLog | None = None
         try:
             file, path = self._spec.file, self._source.path(name)
             require_answer(name, path)
             with reading(name):
                 content = read_log(path, file.logs, file.channels, self._latest_us)
-            found = covered(record, content, self._spec)
+            new = covered(record, content, self._spec)
         except LogError as error:
-            found, content = failed(record, error), None
+            new = failed(record, error)
         why = self._source.change_of(record)
-        if why is not None:
-            found, content = failed(record, why), None
-        self.n_moved += (found.nights, found.status) != (record.nights, record.status)
-        self.files[name] = found
-        if content is None:
+        new = new if why is None else failed(record, why)
+        self.n_moved += (new.nights, new.status) != (record.nights, record.status)
+        self.files[name] = new
+        if new.status != "ok":
             self.read.discard(name)
             return None
         self.read.add(name)

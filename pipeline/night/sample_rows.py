@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from leakage import Motor
-from pipeline.arrays import Array
+from pipeline.arrays import Array, keep_extremes
 from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
@@ -21,7 +21,6 @@ from pipeline.night.fit import BlockFit
 from pipeline.night.statistics import NightStatistics, SensorRatio, charge_over_case_bar
 from pipeline.night.time_base import Quality, Samples
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C, Row
-from pipeline.thinning import keep_extremes
 
 HOUR_US = 3_600_000_000
 # Standard errors from the middle of a 95 % interval to its ends.

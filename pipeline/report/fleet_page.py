@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Array
+from pipeline.arrays import Array, keep_extremes
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.settings import ReferenceConditions
 from pipeline.palette import COLOURS
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
-from pipeline.thinning import keep_extremes
 from pipeline.trends.rows.motor_states import MotorState, urgency
 
 Span = tuple[dt.date, dt.date]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.thinning import keep_extremes
+from pipeline.arrays import keep_extremes
 
 COLUMNS = arrays(
     np.float64,

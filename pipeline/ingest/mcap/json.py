@@ -73,7 +73,7 @@ def json_decoder(wanted: Wanted) -> Decoder:
         broken = (
             payload
             for payload, message in zip(payloads.each(), messages, strict=True)
-            if not message
+            if message is None
         )
         return one_by_one(messages, wanted, values, repr(next(broken, b""))[:60])
 

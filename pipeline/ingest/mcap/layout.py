@@ -75,10 +75,11 @@ class _Whole(ReadDataStream):
 def _record(path: Path, kind: type[_Record], content: bytes) -> _Record:
     """Return a record by its content."""
     try:
-        return kind.read(_Whole(io.BytesIO(content)))
+        record: _Record = kind.read(_Whole(io.BytesIO(content)))
     except (EndOfFile, UnicodeDecodeError) as error:
         how = f"a record of kind {kind.__name__} cannot be read: {error!r}"
         raise LogError("log_damaged", path, how) from error
+    return record
 
 
 class Summary(NamedTuple):

@@ -99,11 +99,8 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     has a place: a wrong checksum of the whole data section, or a wrong number of messages, has
     none. Damaged chunks are lost whole.
 
-    Raises
-    ------
-    LogError
-        ``log_not_mcap``, ``log_truncated``, ``log_damaged``, ``log_compression``,
-        ``log_too_large``.
+    Raises LogError: ``log_not_mcap``, ``log_truncated``, ``log_damaged``, ``log_compression``,
+    ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
     declared = Declared()
@@ -139,10 +136,7 @@ def _has_place(error: LogError) -> bool:
 def summary_of(path: Path, *, salvage: bool = False) -> tuple[Summary, LogError | None]:
     """The summary; with `salvage`, an empty one where it cannot be read, and why.
 
-    Raises
-    ------
-    LogError
-        As `read_messages`.
+    Raises LogError: As `read_messages`.
     """
     try:
         return read_summary(path), None
@@ -328,20 +322,18 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
         raise LogError(
             "log_compression", path, f"compression {name!r} is none of lz4, zstd, none", where
         )
-    codec = _COMPRESSIONS[name]
+    codec, records = _COMPRESSIONS[name], packed
     try:
-        records = packed if codec is None else _unfolded(packed, codec, size)
+        if codec is not None:
+            stream = pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec)
+            with stream:
+                # As far as it goes, but one byte more than it claims at most.
+                records = memoryview(stream.read_buffer(size + 1))
     except (OSError, pa.ArrowException) as error:
         raise LogError("log_damaged", path, f"it does not decompress: {error}", where) from error
     if len(records) != size:
         raise LogError("log_damaged", path, f"it does not decompress to {size} bytes", where)
     return records
-
-
-def _unfolded(packed: memoryview, codec: str, size: int) -> memoryview:
-    """The bytes, as far as they go, but one more than `size` at most."""
-    with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
-        return memoryview(stream.read_buffer(size + 1))
 
 
 def _indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:

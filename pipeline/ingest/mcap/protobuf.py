@@ -3,8 +3,7 @@
 Their classes are made by the format's own package. A field that is not set is missing where
 Protobuf can tell (messages, ``optional``, ``oneof``, and all of proto2, whatever default its schema
 names), and its default where it cannot: plain numbers of proto3, of which a 0 is never written.
-Truth values and members of an enum are their numbers, a wrapper such as
-``google.protobuf.DoubleValue`` is the number in it, and a map's key is a step of a path.
+Truth values and members of an enum are their numbers. Maps are not read.
 """
 
 from __future__ import annotations
@@ -21,10 +20,6 @@ from pipeline.config.dialect import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Decoded, Decoder, Payloads, Value, Wanted, one_by_one
 
-_WRAPPERS = frozenset(
-    f"google.protobuf.{name}Value"
-    for name in ("Double", "Float", "Int64", "UInt64", "Int32", "UInt32", "Bool")
-)
 _BROKEN = "a message that is not as its descriptor says"
 _MOST_NAMES = 40
 
@@ -32,11 +27,8 @@ _MOST_NAMES = 40
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
     """Decoder of the messages of a topic.
 
-    Raises
-    ------
-    LogError
-        ``log_extra_missing``; ``log_damaged`` for descriptors that are none; ``log_column_missing``
-        for a field that is not in them.
+    Raises LogError: ``log_extra_missing``; ``log_damaged`` for descriptors that are none;
+    ``log_column_missing`` for a field that is not in them.
     """
     message_class, decode_error = _message_class(path, schema)
     descriptor = message_class.DESCRIPTOR
@@ -96,15 +88,11 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
 def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> Iterator[str]:
     """Paths of numbers, for an error; a message may hold itself."""
     for field in descriptor.fields:
-        inner = field.message_type
-        if field.cpp_type == field.CPPTYPE_STRING:
-            continue
-        is_map = inner is not None and inner.GetOptions().map_entry
-        step: FieldPath = (0,) if _is_repeated(field) else ()
-        path = (*above, field.name, *(("KEY",) if is_map else step))
-        if inner is None or is_map or inner.full_name in (*_WRAPPERS, *around):
+        inner, is_text = field.message_type, field.cpp_type == field.CPPTYPE_STRING
+        path = (*above, field.name, *((0,) if _is_repeated(field) else ()))
+        if inner is None and not is_text:
             yield path_text(path)
-        else:
+        elif inner is not None and inner.full_name not in around and not _is_map(inner):
             yield from _names(inner, path, (*around, descriptor.full_name))
 
 
@@ -115,19 +103,19 @@ def _value(descriptor: Any, path: FieldPath, *, stamp: bool) -> Value:
     """
     field = descriptor.fields_by_name[path[0]]
     get, inner, rest = _getter(field), field.message_type, path[1:]
-    is_many = _is_repeated(field)
-    if is_many and rest:
-        is_map = inner is not None and inner.GetOptions().map_entry
-        get = _then(get, _entry(rest[0]) if is_map else _element(rest[0]))
-        inner = inner.fields_by_name["value"].message_type if is_map else inner
-        is_many, rest = False, rest[1:]
+    if inner is not None and _is_map(inner):
+        raise TypeError("a map")
+    if _is_repeated(field):
+        if not rest:
+            raise TypeError("an array")
+        get, rest = _then(get, _element(rest[0])), rest[1:]
     if rest:
         if inner is None:
             raise LookupError(path)
         return _then(get, _value(inner, rest, stamp=stamp))
-    if is_many or (inner is not None and inner.full_name not in _WRAPPERS and not stamp):
-        raise TypeError("an array or map" if is_many else f"a message {inner.full_name}")
-    is_plain = inner is None and not is_many and field.cpp_type != field.CPPTYPE_BOOL
+    if inner is not None and not stamp:
+        raise TypeError(f"a message {inner.full_name}")
+    is_plain = inner is None and field.cpp_type != field.CPPTYPE_BOOL
     return get if is_plain else _then(get, _tree)
 
 
@@ -149,11 +137,8 @@ def _element(step: str | int) -> Value:
     raise LookupError(step)
 
 
-def _entry(step: str | int) -> Value:
-    """Function of a map that gives what a key holds."""
-    return lambda entries: next(
-        (value for key, value in entries.items() if _key_text(key) == str(step)), None
-    )
+def _is_map(message_type: Any) -> bool:
+    return bool(message_type.GetOptions().map_entry)
 
 
 def _is_repeated(field: Any) -> bool:
@@ -163,18 +148,11 @@ def _is_repeated(field: Any) -> bool:
 
 
 def _tree(node: Any) -> Any:
-    """A value as dicts, lists and plain values."""
+    """A value as dicts, lists and plain values; a map as nothing."""
     if hasattr(node, "DESCRIPTOR"):
-        if node.DESCRIPTOR.full_name in _WRAPPERS:
-            return _tree(node.value)
         return {field.name: _tree(_getter(field)(node)) for field in node.DESCRIPTOR.fields}
     if hasattr(node, "items"):
-        return {_key_text(key): _tree(value) for key, value in node.items()}
+        return None
     if hasattr(node, "__len__") and not isinstance(node, str | bytes):
-        return [_tree(item) for item in node]
+        return [_tree(element) for element in node]
     return int(node) if isinstance(node, bool) else node
-
-
-def _key_text(key: Any) -> str:
-    """A map's key as it stands in a path."""
-    return str(key).lower() if isinstance(key, bool) else str(key)

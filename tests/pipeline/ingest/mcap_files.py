@@ -106,10 +106,10 @@ def values(folder: Path, data: bytes, field: str) -> list[Value]:
     return all_values(path, [field])[field]
 
 
-def error_of(folder: Path, data: bytes, field: str = "value") -> LogError:
+def error_of(folder: Path, data: bytes, field: str = "value", **options: Any) -> LogError:
     """The error that reading a field ends in."""
     with pytest.raises(LogError) as raised:
-        read(folder, data, source_of(field))
+        read(folder, data, source_of(field, **options))
     return raised.value
 
 

@@ -1,70 +1,153 @@
-"""Round trip, sample by sample, of logs in any dialect of any format."""
+"""Round trip, sample by sample, of random logs in random dialects of a table."""
 
 from __future__ import annotations
 
+import codecs
+import random
+import string
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from pipeline.ingest import RawChannel, read_log, time_span
+from pipeline.config.logs import THOUSANDS
+from pipeline.ingest import read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from pipeline.messages import counted
-from tests.dialects.dialect import Dialect
-from tests.dialects.recorded import Recorded
-from tests.dialects.strategies import csv_dialects, logs, mcap_dialects, parquet_dialects
+from pipeline.units import CHANNELS
+from tests.dialects import PACKERS, Csv, Parquet, Recorded, Table
 
-Pairs = list[tuple[int, float]]
+DAYS_US = 6 * 86_400_000_000  # behind `T0_US`, in which no zone changes its clocks
+ZONES = ("UTC", "Europe/Stockholm", "America/St_Johns", "Asia/Kathmandu", "Etc/GMT-1")
+EPOCHS = ("epoch_s", "epoch_ms", "epoch_us", "epoch_ns")
+# Formats, and the step of the stamps that they can write [us].
+STEPS = {
+    "%d.%m.%Y %H:%M:%S": 1_000_000,
+    "%m/%d/%y %I:%M:%S %p": 1_000_000,
+    "%Y%m%dT%H%M%S%z": 1_000_000,
+    "%d %b %Y %H:%M:%S,%f": 1,
+    "%Y-%j %H:%M:%S.%f": 1,
+    "%Y-%m-%d %H:%M": 60_000_000,
+    "excel_days": 1000,
+    **dict.fromkeys(("iso8601", *EPOCHS), 1),
+}
+UNITS_US = {"s": 1_000_000, "ms": 1000, "us": 1, "ns": 1}
 
 
-def written(log: Recorded, name: str) -> Pairs:
-    """Readings of a channel in the order of the log."""
-    time_us, numbers, values = log.samples()
-    chosen = (numbers == list(log.values).index(name)) & ~np.isnan(values)
-    return list(zip(time_us[chosen].tolist(), values[chosen].tolist(), strict=True))
+def names_of(draw: random.Random) -> list[str]:
+    """Names of the channels, and of the columns of time, date, channel and value."""
+    letters = string.ascii_letters + "äß °[]/()"
+    return [f"x{''.join(draw.choices(letters, k=6))}{i}x" for i in range(len(CHANNELS) + 4)]
 
 
-def found(channel: RawChannel) -> Pairs:
-    here = ~channel.missing
-    return list(zip(channel.time_us[here].tolist(), channel.value[here].tolist(), strict=True))
+def csv_dialect(draw: random.Random) -> tuple[Table, int]:
+    """Any combination of what a CSV may be, and the step of its stamps."""
+    one_of = draw.choice
+    decimal = one_of(".,")
+    separator = one_of([mark for mark in ",;\t|" if mark != decimal])
+    marks = [mark for mark in THOUSANDS if mark not in (decimal, separator) and mark.isascii()]
+    time_format, encoding = one_of(list(STEPS)), one_of(["utf-8", "utf-8-sig", "latin-1", "utf-16"])
+    *channels, time, date, name, value = names_of(draw)
+    logs: dict[str, Any] = {
+        "time": time,
+        "time_format": time_format,
+        "time_zone": one_of(ZONES),
+        "layout": one_of(["wide", "long", "file_per_channel"]),
+        "channel_column": name,
+        "value_column": value,
+        "encoding": encoding,
+        "separator": separator,
+        "decimal": decimal,
+        "thousands": one_of(["", *marks]),
+        "skip_rows": draw.randrange(4),
+        "unit_rows": draw.randrange(3),
+    }
+    if " " in time_format and one_of([True, False]):
+        logs["date_column"] = date
+    dialect = Csv(
+        logs,
+        names=dict(zip(CHANNELS, channels, strict=True)),
+        line_end=one_of(["\n", "\r\n", "\r"]),
+        bom=one_of([b"", codecs.BOM_UTF8]) if encoding == "utf-8" else b"",
+        quoted="," in time_format or one_of([True, False]),
+        packed=one_of(list(PACKERS)),
+        written_zone=one_of(["", *ZONES]),
+        tokens=one_of([("",), ("---", "Bad", "NA"), ("", "null")]),
+        header_every=one_of([0, 0, 1, 3]),
+        reverse=one_of([True, False]),
+        company=one_of([True, False]),
+    )
+    return dialect, STEPS[time_format]
 
 
-def check(dialect: Dialect, log: Recorded, folder: Path) -> None:
-    source = dialect.source_of(log.values)
-    paths = dialect.write(folder, "log", log)
-    for name in log.values:
-        (path,) = [one for one in paths if len(paths) == 1 or f"+{name}." in one.name]
+def parquet_dialect(draw: random.Random) -> tuple[Table, int]:
+    """Any combination of types and layouts of Parquet, and the step of its stamps."""
+    one_of = draw.choice
+    *channels, time, _, name, value = names_of(draw)
+    time_format, unit = one_of([None, None, "excel_days", *EPOCHS]), one_of(list(UNITS_US))
+    layout = one_of(["wide", "wide", "long", "file_per_channel"])
+    dialect = Parquet(
+        {
+            "time": time,
+            "time_zone": one_of(ZONES),
+            "layout": layout,
+            "channel_column": name,
+            "value_column": value,
+            **({} if time_format is None else {"time_format": time_format}),
+        },
+        names=dict(zip(CHANNELS, channels, strict=True)),
+        kind=one_of([pa.float64(), pa.float32(), pa.decimal128(38, 6), pa.int64()]),
+        time_unit=unit,
+        zone=one_of([None, *ZONES]),
+        within=("drive", "oil.x")[: draw.randrange(3)] if layout == "wide" else (),
+        dictionary=one_of([True, False]),
+        options={
+            "row_group_size": one_of([1, 5, 100]),
+            "compression": one_of(["none", "snappy", "gzip", "zstd", "lz4"]),
+            "use_dictionary": one_of([True, False]),
+            "data_page_version": one_of(["1.0", "2.0"]),
+            "write_page_checksum": one_of([True, False]),
+        },
+    )
+    return dialect, UNITS_US[unit] if time_format is None else STEPS[time_format]
+
+
+def log_for(draw: random.Random, step_us: int, *, is_text: bool) -> Recorded:
+    """A few samples of some channels, whose time goes back here and there."""
+    count = draw.randint(1, 12)
+    steps = [draw.randrange(DAYS_US // step_us) for _ in range(count)]
+    # Text holds any number, the types of Parquet whole ones.
+    cells = [lambda: float(draw.randrange(-(2**20), 2**20)), lambda: np.nan]
+    cells += [lambda: draw.gauss(0, 1e3), lambda: np.inf, lambda: -1e-300] if is_text else []
+    readings = {
+        name: np.array([draw.choice(cells)() for _ in range(count)])
+        for name in draw.sample(CHANNELS, draw.randint(1, 4))
+    }
+    return Recorded(T0_US + step_us * np.array(steps), readings)
+
+
+@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("dialect_of", [csv_dialect, parquet_dialect])
+def test_what_is_written_in_any_dialect_is_read_back(
+    tmp_path: Path, dialect_of: Callable[[random.Random], tuple[Table, int]], seed: int
+) -> None:
+    draw = random.Random(seed)  # noqa: S311
+    dialect, step_us = dialect_of(draw)
+    log = log_for(draw, step_us, is_text=isinstance(dialect, Csv))
+    source, paths = dialect.source_of(log.values), dialect.write(tmp_path, "log", log)
+    for name, value in log.values.items():
+        (path,) = [path for path in paths if len(paths) == 1 or f"+{name}." in path.name]
         raw = read_log(path, *source)
-        assert found(raw.channels[name]) == written(log, name)
-        assert raw.channels[name].unparsed == 0
+        channel, known = raw.channels[name], ~np.isnan(value)
+        assert channel.time_us[~channel.missing].tolist() == log.time_us[known].tolist()
+        assert channel.value[~channel.missing].tolist() == value[known].tolist()
+        assert channel.unparsed == 0
         every = getattr(dialect, "header_every", 0)
         again = -(-raw.rows // every) - 1 if every else 0
         assert raw.notes == ((f"{counted(again, 'line')} equal to the header",) if again else ())
         # Rows at the ends in which every channel is blank are in the span of the file alone.
-        rows_us = log.samples()[0]
-        assert time_span(path, *source) in (
-            raw.ends(),
-            (int(rows_us.min()), int(rows_us.max())),
-        )
-
-
-@pytest.mark.parametrize(
-    "dialects",
-    [csv_dialects(), parquet_dialects(), mcap_dialects()],
-    ids=["csv", "parquet", "mcap"],
-)
-@settings(
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-    deadline=None,
-    max_examples=60,
-)
-@given(data=st.data())
-def test_what_is_written_in_any_dialect_is_read_back(
-    tmp_path_factory: pytest.TempPathFactory,
-    dialects: st.SearchStrategy[Dialect],
-    data: st.DataObject,
-) -> None:
-    dialect = data.draw(dialects)
-    log = data.draw(logs(dialect))
-    check(dialect, log, tmp_path_factory.mktemp("dialect"))
+        rows = int(log.time_us.min()), int(log.time_us.max())
+        assert time_span(path, *source) in (raw.ends(), rows)

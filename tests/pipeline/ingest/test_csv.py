@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import random
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -140,17 +139,6 @@ READ: dict[str, Case] = {
         f"time,machine,tag,v\n{DAY}0Z,A 1,dp,1\n{DAY}0Z,A 2,dp,2\n{DAY}0Z,A 1,n,2\n",
         *({**LONG, **MOTOR}, [1], 0, ()),
     ),
-    **{
-        f"lines that end in {end!r}": (
-            end.join(["", "time,dp,n", f"{DAY}0Z,1,2", "", f"{DAY}1Z,3,4", "", ""]),
-            *({}, [1, 3], 0, ()),
-        )
-        for end in ("\n", "\r\n", "\r")
-    },
-    **{
-        f"{name} where it is named": (rows("1,2").encode(name), {"encoding": name}, [1], 0, ())
-        for name in ("utf-16", "utf-16-le", "utf-16-be")
-    },
     "utf-16 cut within a character": (
         *(rows("1,2", "3,4").encode("utf-16")[:-7], {"encoding": "utf-16"}, [1], 0, (TORN,)),
     ),
@@ -165,14 +153,6 @@ def test_what_is_read(tmp_path: Path, case: Case) -> None:
     assert (values(log), channel.unparsed, log.notes) == (wanted, unparsed, notes)
     if wanted and "layout" not in keys:
         assert time_span(tmp_path / "log.csv", *SOURCE.but(**keys)) == log.ends()
-
-
-def test_channels_of_a_long_table_have_their_own_times(tmp_path: Path) -> None:
-    log = read(tmp_path, TAGS, SOURCE.but(**LONG))
-    assert log.channels["pressure_difference"].missing.tolist() == [False, True]
-    assert values(log, "speed") == [100.0, 120.0]
-    assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 2_000_000]
-    assert log.rows == 4
 
 
 QUOTED = "log_damaged: a quotation mark is opened"
@@ -267,14 +247,6 @@ def test_what_is_refused(
     assert said in wrong.message
 
 
-def test_latin_1_matters_only_in_the_names_of_wanted_columns(tmp_path: Path) -> None:
-    channels = {"oil_temperature": column("T (°C)", "degC")}
-    log = read(tmp_path, LATIN, SOURCE.but(channels, encoding="latin-1"))
-    assert values(log, "oil_temperature") == [50.0]
-    assert "encoding" in error(tmp_path, LATIN, SOURCE.but(channels)).message
-    assert read(tmp_path, LATIN, SOURCE.but({"speed": SOURCE.channels["speed"]})).rows == 1
-
-
 @pytest.mark.parametrize(
     ("cell", "value"),
     [
@@ -309,17 +281,13 @@ def test_what_is_a_number(tmp_path: Path, cell: str, value: float | None) -> Non
         np.testing.assert_array_equal(channel.value[:1], [np.nan if value is None else value])
 
 
-@pytest.mark.parametrize(
-    "token", ["", " ", "null", "NULL", "NA", "N/A", " NA ", "---", "Bad", "-", "n/a", "#N/A"]
-)
-def test_tokens_that_mean_no_sample_are_missing_and_not_unparsed(
-    tmp_path: Path, token: str
-) -> None:
-    for bad_cells in (0, 1):
-        log = read(tmp_path, rows(f"{token},1", "2,1", *["?,1"] * bad_cells))
-        channel = log.channels["pressure_difference"]
-        assert channel.missing.tolist() == [True, False] + [True] * bad_cells
-        assert channel.unparsed == bad_cells
+def test_tokens_that_mean_no_sample_are_missing_and_not_unparsed(tmp_path: Path) -> None:
+    tokens = ["", " ", "null", "NULL", "NA", "N/A", " NA ", "---", "Bad", "-", "n/a", "#N/A"]
+    for bad in (0, 1):
+        cells = [f"{DAY}0Z,{cell},1\n" for cell in [*tokens, "2", *["?"] * bad]]
+        channel = read(tmp_path, HEAD + "".join(cells)).channels["pressure_difference"]
+        assert channel.missing.tolist() == [True] * len(tokens) + [False] + [True] * bad
+        assert channel.unparsed == bad
 
 
 @pytest.mark.parametrize(
@@ -386,23 +354,6 @@ def test_pieces_and_line_ends_do_not_show(
     log = read(tmp_path, text.replace("\n", line_end), source)
     assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0] * 6
     assert log.notes == (TORN, "5 lines equal to the header")
-
-
-def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    start = datetime(2025, 10, 25, 22, 30, tzinfo=UTC)
-    moments = [start + timedelta(minutes=i) for i in range(300)]
-    offsets = [2 if moment < datetime(2025, 10, 26, 1, tzinfo=UTC) else 1 for moment in moments]
-    lines = [
-        f"{(moment + timedelta(hours=offset)).strftime('%d.%m.%Y %H:%M')},{i},1\n"
-        for i, (moment, offset) in enumerate(zip(moments, offsets, strict=True))
-    ]
-    source = SOURCE.but(time_format="%d.%m.%Y %H:%M", **IN_STOCKHOLM)
-    in_pieces(monkeypatch, 500)
-    log = read(tmp_path, HEAD + "".join(lines), source)
-    wanted = [int(moment.timestamp()) * 1_000_000 for moment in moments]
-    assert log.channels["speed"].time_us.tolist() == wanted
 
 
 def test_the_span_of_a_long_file_needs_its_ends_only(tmp_path: Path) -> None:

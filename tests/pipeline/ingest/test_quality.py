@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,9 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ingest.cells import quality_states
 from pipeline.ingest.conformance import T0_US
-from tests.dialects.csv_text import Csv
+from tests.dialects import Csv
 
-from .mcap.protobuf_files import Field, Member, class_of, declared, made_of, protobuf, set_of
+from .mcap.protobuf_files import class_of, made_of, protobuf, set_of
 from .mcap_files import TOPIC, mcap_of
 from .sources import Source, changed, column
 from .test_csv import in_pieces
@@ -71,7 +72,7 @@ def table(kind: str, columns: Columns, layout: str = "wide") -> Way:
     def write(path: Path) -> Source:
         time_us = T0_US + np.arange(len(columns["quality"])) % len(CASES)
         if kind == "csv":
-            Csv("", written_zone="UTC").table(path, time_us, columns)
+            Csv(written_zone="UTC").table(path, time_us, columns)
         else:
             stamps = pa.array(time_us, pa.timestamp("us", "UTC"))
             pq.write_table(pa.table({"time": stamps, **columns}), path, row_group_size=4)
@@ -94,8 +95,7 @@ def json_mcap(qualities: Sequence[Any]) -> Way:
 
 def protobuf_mcap(path: Path) -> Source:
     """Fields that say whether they are set."""
-    fields = [Member("value", Field.TYPE_DOUBLE), Member("quality", Field.TYPE_UINT32)]
-    descriptors = set_of("proto2", declared("Hydraulics", fields, "proto2"))
+    descriptors = set_of("proto2", Hydraulics="double value; uint32 quality")
     made, cells = class_of(descriptors), zip(VALUES, CODES, strict=True)
     given = [{"value": one, "quality": told} for one, told in cells]
     path.write_bytes(protobuf([made_of(made, one) for one in given], descriptors, chunk_size=200))
@@ -141,9 +141,8 @@ def test_what_the_log_does_not_call_good_is_bad(write: Way, tmp_path: Path) -> N
 def test_a_quality_that_is_not_there_is_named(write: Way, tmp_path: Path) -> None:
     source = write(tmp_path / "log")
     speed = changed(source.channels["speed"], quality_source="kwality")
-    with pytest.raises(LogError, match="'kwality'") as raised:
+    with pytest.raises(LogError, match="'kwality'"):
         read_log(tmp_path / "log", *source.but({**source.channels, "speed": speed}))
-    assert raised.value.code == "log_column_missing"
 
 
 @pytest.mark.parametrize("piece", [120, 200, 2**24])
@@ -162,12 +161,11 @@ def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) 
     forced = changed(PRESSURE, quality_good=(192, 216, 0))
     source = Source.of("csv", {"speed": SPEED, "pressure_difference": forced})
     channels = read_log(path, *source).channels
-    strict, loose = channels["speed"].bad_quality, channels["pressure_difference"].bad_quality
-    assert strict is not None
-    assert loose is not None
-    answers = [(one or "").strip().casefold() for one in TEXTS]
-    assert strict.tolist() == [answer not in ("good", "192") for answer in answers]
-    assert loose.tolist() == [answer not in ("192", "216", "0") for answer in answers]
+    answers = [(text or "").strip().casefold() for text in TEXTS]
+    for name, good in (("speed", {"good", "192"}), ("pressure_difference", {"192", "216", "0"})):
+        bad = channels[name].bad_quality
+        assert bad is not None
+        assert bad.tolist() == [answer not in good for answer in answers]
 
 
 def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: Path) -> None:
@@ -196,6 +194,7 @@ def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: P
         (pa.array([0.0, -0.0, np.nan]), (0,), [False, False, True]),
         (pa.array([Decimal("192.00"), Decimal("19.2")]), (192,), [False, True]),
         (pa.array(["192.0", "+192", "1.92e2", "0xC0"]), (192,), [False] * 3 + [True]),
+        (pa.array(["1_92", "١٩٢", "192_", "192"]), (192,), [True] * 3 + [False]),
         (pa.array(["0xc0", "C0"]), ("0xC0",), [False, True]),
         (pa.array(["", " ", None, "Good"]), ("",), [False, False, False, True]),
         (pa.array([100, 0]), (100.0,), [False, True]),
@@ -209,12 +208,6 @@ def test_qualities_of_every_type(cells: pa.Array, good: Any, bad: list[bool]) ->
     """Beside a value: a blank is then bad, too, unless it stands for good."""
     states = quality_states(Path("log"), "quality", cells, good)
     assert (states != 0).tolist() == bad
-
-
-@pytest.mark.parametrize("word", ["1_92", "١٩٢", "192_", "0xC0"])
-def test_only_plain_digits_are_a_code(word: str) -> None:
-    states = quality_states(Path("log"), "quality", pa.array([word, "192"]), (192,))
-    assert states.tolist() == [1, 0]
 
 
 @pytest.mark.parametrize(
@@ -238,18 +231,10 @@ def test_what_is_no_quality(tmp_path: Path, cells: pa.Array) -> None:
 
 
 def test_parts_of_a_channel_are_joined_with_their_quality() -> None:
-    def part(bad: list[bool] | None) -> RawChannel:
-        return RawChannel(
-            np.arange(2),
-            np.ones(2),
-            np.zeros(2, np.bool_),
-            1,
-            None if bad is None else np.array(bad),
-        )
-
-    both = RawChannel.joined([part([True, False]), part(None)])
+    some = RawChannel(np.arange(2), np.ones(2), np.zeros(2, np.bool_), 1)
+    judged = replace(some, bad_quality=np.array([True, False]))
+    both = RawChannel.joined([judged, some])
     assert both.bad_quality is not None
     assert both.bad_quality.tolist() == [True, False, False, False]
     assert both.unparsed == 2
-    assert RawChannel.joined([part(None), part(None)]).bad_quality is None
-    assert both.rows(slice(1, None)).bad_quality is not None
+    assert RawChannel.joined([some, some]).bad_quality is None

@@ -16,10 +16,9 @@ import zstandard
 from mcap.writer import CompressionType, IndexType
 
 from pipeline.ingest.conformance import NAMES, Cell, Format, Row
-from tests.dialects.columns import Parquet
-from tests.dialects.csv_text import Csv
+from tests.dialects import Csv, Parquet
 
-from .mcap.protobuf_files import NAME, Field, Member, declared, set_of
+from .mcap.protobuf_files import NAME, set_of
 from .mcap_files import mcap_bytes
 
 Write = Callable[[Path, Sequence[Row], Sequence[str]], None]
@@ -39,22 +38,22 @@ def table(dialect: Csv | Parquet) -> Write:
 
 def csv(written_zone: str = "UTC", **options: Any) -> Write:
     """Writer of plain CSV."""
-    return table(Csv("", written_zone=written_zone, **options))
+    return table(Csv(written_zone=written_zone, **options))
 
 
 def parquet(**options: Any) -> Write:
     """Writer of plain Parquet."""
-    return table(Parquet("", options=options))
+    return table(Parquet(options=options))
 
 
-VALUE = declared("Hydraulics", [Member("value", Field.TYPE_DOUBLE)], "proto3")
+VALUE = set_of("proto3", Hydraulics="double value").SerializeToString()
 ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]] = {
     "json": (
         ("Value", "jsonschema", b'{"type": "object"}'),
         lambda name, cell: json.dumps({"sensor": name, "value": cell}).encode(),
     ),
     "protobuf": (
-        (NAME, "protobuf", set_of("proto3", VALUE).SerializeToString()),
+        (NAME, "protobuf", VALUE),
         lambda _, cell: b"\x09" + struct.pack("<d", cell),
     ),
     # Little endian: a text "oil", aligned to four, then a float64, aligned to eight.
@@ -99,7 +98,6 @@ def _mcap(
 
 # As spreadsheets of half of Europe write it: two lines of preamble, a local time of winter.
 EUROPEAN = Csv(
-    "",
     {
         "time": "Zeit",
         "time_format": "%d.%m.%Y %H:%M:%S,%f",
@@ -150,19 +148,21 @@ PLAIN = {"compression": CompressionType.NONE}
 SALVAGED = {"salvage": True}
 LONG = {"layout": "long", "time_format": "epoch_us"}
 SPLIT = parquet(use_dictionary=False, use_byte_stream_split=NAMES[:1])
-# They are damaged only: their messages hold no text, or other checks know them by another name.
+# They are read and damaged only: their messages hold no text, or other checks have them so.
 NUMBERS_ONLY = (
-    Format("csv-long", "csv", write_long_csv, keys=LONG),
+    Format("csv-long", "csv", write_long_csv, wide=False, keys=LONG),
     Format("csv-gz", "csv", csv(packed=".gz"), is_checked=True),
     Format("csv-zst", "csv", csv(packed=".zst"), is_checked=True),
     Format("csv-zst-no-checksum", "csv", zstd_without_checksum),
     Format("parquet-lz4", "parquet", parquet(compression="lz4", data_page_version="2.0")),
     Format("parquet-brotli", "parquet", parquet(compression="brotli", row_group_size=17)),
     Format("parquet-split", "parquet", SPLIT),
-    Format("mcap-protobuf", "mcap", write_mcap("protobuf", **PLAIN), is_checked=True),
-    Format("mcap-cdr", "mcap", write_mcap("cdr"), is_checked=True),
-    Format("mcap-protobuf-bare", "mcap", write_mcap("protobuf", use_chunking=False, **BARE)),
-    Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE)),
-    Format("mcap-salvaged", "mcap", write_mcap(), keys=SALVAGED),
-    Format("mcap-bare-salvaged", "mcap", write_mcap(**PLAIN, **BARE), keys=SALVAGED),
+    Format("mcap-protobuf", "mcap", write_mcap("protobuf", **PLAIN), wide=False, is_checked=True),
+    Format("mcap-cdr", "mcap", write_mcap("cdr"), wide=False, is_checked=True),
+    Format(
+        "mcap-protobuf-bare", "mcap", write_mcap("protobuf", use_chunking=False, **BARE), wide=False
+    ),
+    Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE), wide=False),
+    Format("mcap-salvaged", "mcap", write_mcap(), wide=False, keys=SALVAGED),
+    Format("mcap-bare-salvaged", "mcap", write_mcap(**PLAIN, **BARE), wide=False, keys=SALVAGED),
 )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from pipeline.logs.dates import date_in, with_known_nights
+from pipeline.logs.dates import with_known_nights
 from pipeline.logs.processed import FileRecord
 
 LATEST = dt.date(2026, 6, 1)
@@ -21,7 +21,7 @@ def readable(name: str, *nights: str) -> FileRecord:
     return FileRecord(name, 10, 1, "y", nights=nights)
 
 
-def told(*records: FileRecord, before: Sequence[FileRecord] = ()) -> dict[str, FileRecord]:
+def placed(*records: FileRecord, before: Sequence[FileRecord] = ()) -> dict[str, FileRecord]:
     known = {record.path: record for record in before}
     return with_known_nights({record.path: record for record in records}, known, LATEST)
 
@@ -30,20 +30,11 @@ def test_as_read_before() -> None:
     """A log that was cut after it had been read: the nights that it had, whatever its name."""
     name = "a_2026-02-20.csv"
     before = readable(name, "2026-01-05", "2026-01-06")
-    record = told(failed(name), before=[before])[name]
+    record = placed(failed(name), before=[before])[name]
     assert record.nights == ("2026-01-05", "2026-01-06")
     assert record.message == "torn (night known by what it held before)"
     # The next run finds it as this one left it.
-    assert told(record, before=[record])[name] == record
-
-
-def test_by_its_name_and_its_neighbours() -> None:
-    """Files here are named after the evening on which they begin."""
-    neighbours = [readable(f"m/2026010{day}.csv", f"2026-01-0{day + 1}") for day in (1, 2, 3)]
-    strange = readable("m/20260104.csv", "2026-01-09")
-    record = told(*neighbours, strange, failed("m/20260131.csv"))["m/20260131.csv"]
-    assert record.nights == ("2026-02-01",)
-    assert record.message == "torn (night known by its name)"
+    assert placed(record, before=[record])[name] == record
 
 
 @pytest.mark.parametrize(
@@ -57,29 +48,26 @@ def test_by_its_name_and_its_neighbours() -> None:
         *((name, None) for name in ("log.csv", "1720101005.csv", "2026-02-30.csv", "M20.csv")),
         ("serial-120260304.csv", None),
         ("2026-06-01.csv", "2026-06-01"),
+        ("2026-06-02.csv", None),  # after the latest
     ],
 )
 def test_dates_in_names(name: str, date: str | None) -> None:
-    assert date_in(name) == (date and dt.date.fromisoformat(date))
-    assert told(failed(name))[name].nights == ((date,) if date else ())
-    after_the_latest = "2026-06-02.csv"
-    assert told(failed(after_the_latest))[after_the_latest].nights == ()
+    assert placed(failed(name))[name].nights == ((date,) if date else ())
 
 
 @pytest.mark.parametrize(
     ("night", "is_plausible"),
-    [
-        ("2025-11-30", False),
-        ("2025-12-01", True),
-        ("2026-02-09", True),
-        ("2026-02-10", False),
-        ("2099-01-01", False),
-    ],
+    [("2025-11-30", False), ("2025-12-01", True), ("2026-02-10", True), ("2026-02-11", False)],
 )
 def test_a_night_is_near_the_others(night: str, is_plausible: bool) -> None:
-    """Within 31 days of the motor's readable logs, present or remembered, of 1 to 9 January."""
-    name = f"x_{night}.csv"
-    found = told(
-        readable("1.csv", "2026-01-01"), failed(name), before=[readable("9", "2026-01-09")]
-    )
-    assert found[name] == failed(name) if not is_plausible else found[name].nights == (night,)
+    """Within 31 days of the motor's readable logs, present or remembered, of 1 to 10 January.
+
+    Files here are named after the evening on which they begin, but for one.
+    """
+    evening = dt.date.fromisoformat(night) - dt.timedelta(days=1)
+    name = f"x_{evening}.csv"
+    neighbours = [readable(f"m/2026010{day}.csv", f"2026-01-0{day + 1}") for day in (1, 2, 3)]
+    strange, before = readable("m/20260104.csv", "2026-01-01"), readable("9", "2026-01-10")
+    record = placed(*neighbours, strange, failed(name), before=[before])[name]
+    assert record.nights == ((night,) if is_plausible else ())
+    assert (record.message == "torn (night known by its name)") == is_plausible

@@ -79,20 +79,20 @@ def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("url", "key_id", "code"),
-    [(URL, "", "object_store_credentials"), ("s3://absent/logs", "a", "object_store_bucket")],
+    ("url", "has_key", "code"),
+    [(URL, False, "object_store_credentials"), ("s3://absent/logs", True, "object_store_bucket")],
 )
 def test_a_run_whose_logs_cannot_be_listed_ends_with_4(
     server: Server,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     url: str,
-    key_id: str,
+    has_key: bool,
     code: str,
 ) -> None:
     shop = Workshop.at(tmp_path)
     shop.configure(fleet=QUICK.replace("../logs", url))
-    if not key_id:
+    if not has_key:
         monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     ended = CliRunner().invoke(app, ["fit-fleet", str(shop.fleet)])
     assert isinstance(ended.exception, StoreError)  # for which the command ends with 4

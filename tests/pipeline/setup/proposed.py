@@ -14,8 +14,7 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.setup.names import meaning_of
 from pipeline.setup.propose import Proposal, ProposedMotor, propose
 from pipeline.units import canonical_unit
-from tests.dialects.csv_text import Csv
-from tests.dialects.recorded import Recorded
+from tests.dialects import Csv, Recorded
 
 START_US = 1_741_845_600_000_000  # 13 March 2025, 06:00 UTC
 KPA = {"pressure": "kPa"}
@@ -35,7 +34,7 @@ NAMES: Mapping[str, Mapping[str, str]] = {
 
 def text_log(logs: Mapping[str, Any], named: str = "name", **options: Any) -> Csv:
     """A dialect of text."""
-    return Csv("text", logs, KPA, names=NAMES[named], **options)
+    return Csv(logs, KPA, names=NAMES[named], **options)
 
 
 def log_of(

@@ -14,7 +14,7 @@ import pytest
 from pipeline.errors import LogError
 from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
-from tests.dialects.columns import Parquet
+from tests.dialects import Parquet
 from tests.pipeline.calling import refused
 from tests.pipeline.setup.proposed import (
     KPA,
@@ -122,7 +122,7 @@ def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_parquet(tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]) -> None:
     log = log_of(blank=None if "layout" in logs else 4)
-    dialect = Parquet("columns", logs, KPA, names=NAMES["name"], **options)
+    dialect = Parquet(logs, KPA, names=NAMES["name"], **options)
     (path,) = dialect.write(tmp_path, "log", log)
     motor = require_it_reads(path, log)
     within = ".".join((*options.get("within", ()), "Speed [1/min]"))

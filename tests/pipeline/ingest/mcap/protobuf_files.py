@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf import (
@@ -18,6 +17,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from tests.pipeline.ingest.mcap_files import mcap_of
 
 Field = descriptor_pb2.FieldDescriptorProto
+KINDS = {name.removeprefix("TYPE_").lower(): number for name, number in Field.Type.items()}
 NAME = "motor.Hydraulics"
 
 
@@ -31,8 +31,8 @@ def imported(message: Any) -> Any:
 STAMP, WRAPPED = imported(Timestamp), imported(wrappers_pb2.DoubleValue)
 
 
-def set_of(syntax: str, *messages: Any) -> Any:
-    """Descriptors of messages, the file that imports before those that it imports."""
+def set_of(syntax: str, **messages: str) -> Any:
+    """Descriptors of messages by name, the file that imports before those that it imports."""
     mode = descriptor_pb2.EnumDescriptorProto(name="Mode")
     for name, number in (("OFF", 0), ("ON", 1), ("FAST", 7)):
         mode.value.add(name=name, number=number)
@@ -41,7 +41,7 @@ def set_of(syntax: str, *messages: Any) -> Any:
         package="motor",
         syntax=syntax,
         dependency=[STAMP.name, WRAPPED.name],
-        message_type=messages,
+        message_type=[_declared(name, fields, syntax) for name, fields in messages.items()],
         enum_type=[mode],
     )
     return descriptor_pb2.FileDescriptorSet(file=[main, STAMP, WRAPPED])
@@ -61,51 +61,35 @@ def protobuf(payloads: Sequence[bytes], descriptors: Any, **options: Any) -> byt
     )
 
 
-@dataclass(frozen=True)
-class Member:
-    """A field of a generated message: one, of a oneof, optional, many, or a map by a key's type."""
-
-    name: str
-    kind: int
-    type_name: str = ""
-    role: str = "plain"
-    key: int = 0
-
-
-def declared(name: str, members: Sequence[Member], syntax: str) -> Any:
+def _declared(name: str, fields: str, syntax: str) -> Any:
+    """A message of fields as a .proto file has them; `map` is one of text to numbers."""
     message = descriptor_pb2.DescriptorProto(name=name)
-    if any(member.role == "oneof" for member in members):
+    if "oneof " in fields:
         message.oneof_decl.add(name="either")
-    for number, member in enumerate(members, 1):
-        made = message.field.add(name=member.name, number=number, label=Field.LABEL_OPTIONAL)
-        _set_type(made, member.kind, member.type_name)
-        if member.role in ("many", "map"):
-            made.label = Field.LABEL_REPEATED
-        if member.role == "map":
-            entry = message.nested_type.add(name=f"{member.name.title()}Entry")
+    for number, line in enumerate(fields.split(";"), 1):
+        *role, kind, field_name = line.split()
+        many = Field.LABEL_REPEATED if role in (["repeated"], ["map"]) else Field.LABEL_OPTIONAL
+        field = message.field.add(name=field_name, number=number, label=many)
+        inner = Field.TYPE_ENUM if kind == "motor.Mode" else Field.TYPE_MESSAGE
+        field.type = KINDS.get(kind, inner)
+        field.type_name = f".{kind}" if kind not in KINDS else ""
+        if role == ["map"]:
+            entry = message.nested_type.add(name=f"{field_name.title()}Entry")
             entry.options.map_entry = True
-            label = Field.LABEL_OPTIONAL
-            entry.field.add(name="key", number=1, type=member.key, label=label)
-            value = entry.field.add(name="value", number=2, label=label)
-            _set_type(value, member.kind, member.type_name)
-            _set_type(made, Field.TYPE_MESSAGE, f".motor.{name}.{entry.name}")
-        if member.role == "oneof":
-            made.oneof_index = 0
-        if member.role == "default" and member.kind == Field.TYPE_DOUBLE:
-            made.default_value = "20.5"
+            entry.field.add(name="key", number=1, type=Field.TYPE_STRING, label=1)
+            entry.field.add(name="value", number=2, type=KINDS[kind], label=1)
+            field.type, field.type_name = Field.TYPE_MESSAGE, f".motor.{name}.{entry.name}"
+        elif role == ["oneof"]:
+            field.oneof_index = 0
+        elif role == ["default"]:
+            field.default_value = "20.5"
     # Those that proto3 marks as optional come last among its oneofs.
-    for member, made in zip(members, message.field, strict=True):
-        if member.role == "optional" and syntax == "proto3":
-            made.proto3_optional = True
-            made.oneof_index = len(message.oneof_decl)
-            message.oneof_decl.add(name=f"_{member.name}")
+    for line, field in zip(fields.split(";"), message.field, strict=True):
+        if line.split()[0] == "optional" and syntax == "proto3":
+            field.proto3_optional = True
+            field.oneof_index = len(message.oneof_decl)
+            message.oneof_decl.add(name=f"_{field.name}")
     return message
-
-
-def _set_type(field: Any, kind: int, type_name: str) -> None:
-    field.type = kind
-    if type_name:
-        field.type_name = type_name
 
 
 def made_of(made: Any, fields: Mapping[str, Any]) -> bytes:
