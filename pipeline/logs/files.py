@@ -17,7 +17,6 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
-from pipeline.logs.finding import legible
 from pipeline.logs.processed import FileRecord, content_hash
 from pipeline.messages import counted
 from pipeline.workers.process import reading
@@ -121,7 +120,7 @@ def spanned(
 def failed(record: FileRecord, error: LogError) -> FileRecord:
     """The record of a file that cannot be read, or is being written and left to the next run."""
     status = "growing" if error.code == "log_growing" else "failed"
-    return replace(record, status=status, error_code=error.code, message=legible(error.message))
+    return replace(record, status=status, error_code=error.code, message=error.message)
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:

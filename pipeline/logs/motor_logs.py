@@ -18,8 +18,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.logs.dates import has_no_span, with_known_nights, without_misdated
 from pipeline.logs.files import covered, failed, labels_of, reaches_us
-from pipeline.logs.finding import require_answer
-from pipeline.logs.locations import FolderLogs, logs_of
+from pipeline.logs.finding import FolderLogs, logs_of, require_answer
 from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive
 

@@ -18,7 +18,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
 from pipeline.logs.files import change_of, failed, labels_of, spanned, stat_log
-from pipeline.logs.locations import FolderLogs, logs_of
+from pipeline.logs.finding import FolderLogs, logs_of
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.night.cleaning import ChannelRules, Rests, clean_channel

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
 from pipeline.night.masks import out_of_range
@@ -18,9 +16,6 @@ from pipeline.units import (
     from_canonical,
     to_canonical,
 )
-
-CHANNEL_OF = {quantity: channel for channel, quantity in reversed(QUANTITIES.items())}
-EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in units]
 
 
 @pytest.mark.parametrize(
@@ -86,10 +81,11 @@ def test_a_reading_beyond_what_a_channel_can_show_is_refused(channel: str) -> No
     assert refused.tolist() == [True, False, False, True]
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_a_canonical_reading_keeps_every_digit(channel: str) -> None:
+def test_a_canonical_reading_keeps_every_digit() -> None:
     values = np.random.default_rng(1).normal(0.0, 300.0, 100)
-    np.testing.assert_array_equal(to_canonical(channel, values, canonical_unit(channel)), values)
+    for channel in CHANNELS:
+        kept = to_canonical(channel, values, canonical_unit(channel))
+        np.testing.assert_array_equal(kept, values)
 
 
 def test_canonical_units_are_those_of_the_tables() -> None:
@@ -99,22 +95,11 @@ def test_canonical_units_are_those_of_the_tables() -> None:
     assert {channel: canonical_unit(channel) for channel in CHANNELS} == units | pressures
 
 
-@pytest.mark.parametrize(("quantity", "unit"), EVERY_UNIT)
-@given(value=st.floats(-1e6, 1e6, allow_nan=False), step=st.floats(1e-3, 1e6, allow_nan=False))
-def test_every_unit_rises_and_is_straight(
-    quantity: str, unit: str, value: float, step: float
-) -> None:
-    low, middle, high = to_canonical(
-        CHANNEL_OF[quantity], [value, value + step, value + 2 * step], unit
-    )
-    assert low < middle < high
-    assert middle - low == pytest.approx(high - middle, rel=1e-6, abs=1e-7 * (1 + abs(low)))
-
-
-@pytest.mark.parametrize(("quantity", "unit"), EVERY_UNIT)
-def test_what_is_not_finite_stays_so(quantity: str, unit: str) -> None:
-    values = to_canonical(CHANNEL_OF[quantity], [np.nan, np.inf, -np.inf], unit)
-    np.testing.assert_array_equal(values, [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_stays_so() -> None:
+    for channel, quantity in QUANTITIES.items():
+        for unit in UNITS[quantity]:
+            values = to_canonical(channel, [np.nan, np.inf, -np.inf], unit)
+            np.testing.assert_array_equal(values, [np.nan, np.inf, -np.inf])
 
 
 def test_the_readings_given_are_not_changed_and_integers_become_float64() -> None:

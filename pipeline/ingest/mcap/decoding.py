@@ -209,6 +209,13 @@ def pair_of(names: Container[str]) -> tuple[str, str] | None:
     return (seconds, nanoseconds) if seconds and nanoseconds else None
 
 
+def stamps_of_numbers(parts: Sequence[Numbers], time_format: str) -> WrittenStamps:
+    """Stamps of a number each, or of whole seconds and nanoseconds."""
+    return (
+        stamps_of_pairs(*parts) if len(parts) > 1 else written_as_numbers(parts[0][0], time_format)
+    )
+
+
 def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
     """Stamps of whole seconds since 1970, UTC, and nanoseconds, cut off to microseconds."""
     (whole, there), (rest, also) = seconds, nanoseconds

@@ -31,11 +31,11 @@ from pipeline.ingest.mcap.decoding import (
     Wanted,
     one_by_one,
     pair_of,
-    stamps_of_pairs,
+    stamps_of_numbers,
     value_at,
 )
 from pipeline.ingest.mcap.layout import column, fields_at
-from pipeline.ingest.time_stamps import WrittenStamps, written, written_as_numbers
+from pipeline.ingest.time_stamps import WrittenStamps, written
 
 _MOST_SHAPES = 32
 _NUMBER = re.compile(rb" *-?[0-9][-+.0-9eE]*")
@@ -179,9 +179,7 @@ def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
         return written([pa.chunked_array(parts)], time_format)
     # Nothing is before 1990, so that a missing one is not readable.
     numbers = [(pc.fill_null(part, 0).to_numpy(), ~nulls(part)) for part in parts]
-    if len(numbers) == 1:
-        return written_as_numbers(numbers[0][0], time_format)
-    return stamps_of_pairs(*numbers)
+    return stamps_of_numbers(numbers, time_format)
 
 
 def json_object(payload: bytes) -> dict[str, Any] | None:

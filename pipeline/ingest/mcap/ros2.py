@@ -38,11 +38,10 @@ from pipeline.ingest.mcap.decoding import (
     number_of,
     one_by_one,
     pair_of,
-    stamps_of_pairs,
+    stamps_of_numbers,
     value_at,
 )
 from pipeline.ingest.mcap.layout import column
-from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 
 _ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 """Representation identifiers of plain CDR: high byte first, low byte first."""
@@ -92,7 +91,9 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
         none, floats = np.zeros(payloads.length.size, np.bool_), np.float64
         fields = {at: Readings(numbers[at].astype(floats), none, none) for at in wanted.readings}
         words = {at: pa.array(numbers[at]) for at in wanted.qualities}
-        return Decoded(fields, _stamps([numbers[at] for at in parts], wanted.time_format), words)
+        counts = [(numbers[at], ~none) for at in parts]
+        stamps = stamps_of_numbers(counts, wanted.time_format) if counts else None
+        return Decoded(fields, stamps, words)
 
     return Decoder(decode, tree)
 
@@ -319,10 +320,3 @@ def _at_once(
         else:
             return None
     return numbers
-
-
-def _stamps(parts: Sequence[NDArray[Any]], time_format: str) -> WrittenStamps | None:
-    if len(parts) < 2:
-        return written_as_numbers(parts[0], time_format) if parts else None
-    there = np.ones(parts[0].size, np.bool_)
-    return stamps_of_pairs(*((part, there) for part in parts))

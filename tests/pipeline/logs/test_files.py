@@ -19,8 +19,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs import files as logs
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
-from pipeline.logs.finding import find_logs
-from pipeline.logs.locations import FolderLogs
+from pipeline.logs.finding import FolderLogs, find_logs
 from pipeline.logs.processed import FileRecord, content_hash
 
 UNITS = {

@@ -16,7 +16,7 @@ import pipeline.run.motor_task
 from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
-from pipeline.logs.locations import FolderLogs, StoredLogs
+from pipeline.logs.finding import FolderLogs, StoredLogs
 from pipeline.setup.check import check_motor
 from pipeline.store.object_store import ObjectStore
 from tests.pipeline.s3_server import URL, Request, Server, never, upload
