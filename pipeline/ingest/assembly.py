@@ -326,24 +326,12 @@ def raw_log(
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Samples of a channel as an installed reader finds them.
+    """Samples of a channel as an installed reader finds them; arrays of shape (n,)."""
 
-    Attributes
-    ----------
-    time_us : (n,) int64
-        UTC, microseconds since 1970, in the order of the file.
-    value : (n,) float64
-        As logged, before scale, offset and unit.
-    missing : (n,) bool or None
-        Samples that hold no number; None: all hold one.
-    quality : (n,) or None
-        Codes of quality, text or numbers; None: the log has none.
-    """
-
-    time_us: NDArray[np.int64]
-    value: NDArray[np.float64]
-    missing: NDArray[np.bool_] | None = None
-    quality: NDArray[Any] | None = None
+    time_us: NDArray[np.int64]  # UTC, microseconds since 1970, in the order of the file
+    value: NDArray[np.float64]  # as logged, before scale, offset and unit
+    missing: NDArray[np.bool_] | None = None  # samples that hold no number; None: all hold one
+    quality: NDArray[Any] | None = None  # codes, text or numbers; None: the log has none
 
 
 def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:

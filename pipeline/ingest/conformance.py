@@ -61,40 +61,20 @@ class Row:
 
 @dataclass(frozen=True)
 class Format:
-    """A format, and a way to write a log in it.
-
-    Attributes
-    ----------
-    log_format
-        Value of ``logs.format``.
-    write
-        Writes rows to a path, with the columns, topics or signals that are named.
-    wide
-        All channels share the rows.
-    holds_text
-        A reading may be written that is no number.
-    is_checked
-        Checksums cover all samples.
-    names_channels
-        A log without samples says which channels it has.
-    has_whole_rows
-        What stands before the place where a file was cut can be known to be whole.
-    keys
-        Other keys of ``[logs]``.
-    survives_damage
-        No damage ends the process. Set it to False where the library beneath crashes: that costs a
-        run the motor, not the others.
-    """
+    """A format, and a way to write a log in it."""
 
     name: str
-    log_format: str
+    log_format: str  # value of ``logs.format``
+    # Writes rows to a path, with the columns, topics or signals that are named.
     write: Callable[[Path, Sequence[Row], Sequence[str]], None]
-    wide: bool = True
-    holds_text: bool = True
-    is_checked: bool = False
-    names_channels: bool = True
-    has_whole_rows: bool = False
-    keys: Mapping[str, Any] = field(default_factory=dict)
+    wide: bool = True  # all channels share the rows
+    holds_text: bool = True  # a reading may be written that is no number
+    is_checked: bool = False  # checksums cover all samples
+    names_channels: bool = True  # a log without samples says which channels it has
+    has_whole_rows: bool = False  # what stands before a cut can be known to be whole
+    keys: Mapping[str, Any] = field(default_factory=dict)  # others of ``[logs]``
+    # No damage ends the process. False where the library beneath crashes: that costs a run the
+    # motor, not the others.
     survives_damage: bool = True
 
     @property

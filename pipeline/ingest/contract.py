@@ -34,29 +34,16 @@ from pipeline.units import CHANNELS, to_canonical
 
 @dataclass(frozen=True, slots=True)
 class RawChannel:
-    """Samples of one channel as they are in the file; arrays are read-only.
+    """Samples of one channel as they are in the file; arrays of shape (n,), read-only."""
 
-    Attributes
-    ----------
-    time_us : (n,) int64
-        UTC, microseconds since 1970, in the order of the file: backward time is for cleaning to
-        refuse.
-    value : (n,) float64
-        Canonical unit; nan where missing.
-    missing : (n,) bool
-        The cell was blank or null or held no number. A nan or infinity that stands in the file is
-        not missing.
-    unparsed
-        Number of cells that held something that is no number; they are in `missing` too.
-    bad_quality : (n,) bool
-        Samples that the log itself does not call good; also blank cells, where their quality is
-        stated. None: the source names no quality.
-    """
-
+    # UTC, microseconds since 1970, in the order of the file: backward time is for cleaning.
     time_us: NDArray[np.int64]
-    value: NDArray[np.float64]
+    value: NDArray[np.float64]  # canonical unit; nan where missing
+    # The cell was blank or null or held no number. A nan or infinity in the file is not missing.
     missing: NDArray[np.bool_]
-    unparsed: int
+    unparsed: int  # cells that held something that is no number; they are in `missing` too
+    # Samples that the log itself does not call good; also blank cells, where their quality is
+    # stated. None: the source names no quality.
     bad_quality: NDArray[np.bool_] | None = None
 
     def rows(self, chosen: Rows, time_us: NDArray[np.int64] | None = None) -> RawChannel:
@@ -92,21 +79,11 @@ class RawChannel:
 
 @dataclass(frozen=True, slots=True)
 class RawLog:
-    """A log as read.
+    """A log as read."""
 
-    Attributes
-    ----------
-    channels
-        By name, all that are wanted.
-    rows
-        Rows (CSV, Parquet) or messages of the topics read (MCAP) that have a time stamp.
-    notes
-        What was left out, each with its count and reason, one line each.
-    """
-
-    channels: Mapping[str, RawChannel]
-    rows: int
-    notes: tuple[str, ...] = ()
+    channels: Mapping[str, RawChannel]  # by name, all that are wanted
+    rows: int  # rows of a table, or messages of the topics read, that have a time stamp
+    notes: tuple[str, ...] = ()  # what was left out, each with its count and reason, a line each
 
     def stamps(self) -> list[NDArray[np.int64]]:
         """Time stamps of channels: those that several share, as in a table, once."""
@@ -123,43 +100,23 @@ class RawLog:
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A log to read, and what is wanted of it.
-
-    Attributes
-    ----------
-    path
-        The file.
-    logs
-        Its dialect.
-    channels
-        The channels to read; at least one, and no constants.
-    latest_us
-        Samples after this time lie in the future [µs since 1970].
-    """
+    """A log to read, and what is wanted of it."""
 
     path: Path
-    logs: Logs
-    channels: Channels
-    latest_us: int = LATEST_US
+    logs: Logs  # its dialect
+    channels: Channels  # to read; at least one, and no constants
+    latest_us: int = LATEST_US  # samples after this time lie in the future [µs since 1970]
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """A reader of one format; all but `read` may be None.
+    """A reader of one format."""
 
-    Attributes
-    ----------
-    read
-        The log, with all its channels.
-    span
-        Its smallest and largest time stamp [µs since 1970, UTC], without reading everything; None:
-        the log is read for them.
-    options
-        Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
-    """
-
-    read: Callable[[LogFile], RawLog]
+    read: Callable[[LogFile], RawLog]  # the log, with all its channels
+    # Its smallest and largest time stamp [µs since 1970, UTC], without reading everything; None:
+    # the log is read for them.
     span: Callable[[LogFile], tuple[int, int]] | None = None
+    # Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
