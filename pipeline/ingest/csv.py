@@ -32,7 +32,7 @@ from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_CELLS = 2**14
-"""Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
+"""Cells of a header, as many as a spreadsheet has; the parser takes 2 kB for each."""
 
 LARGEST_TEXT = 4 * 2**30
 """Bytes of text in a file, packed or not; readings of more would not fit into memory."""
@@ -247,10 +247,7 @@ class _Rows:
         return {str(at): types[name] for name, at in self.position.items()}
 
     def _without_headers(self, data: bytes, start: int) -> bytes:
-        """The rows, with blank lines in the place of the header where it comes again.
-
-        A line whose cell of time is a header's is a header; another one than the first is refused.
-        """
+        """The rows, with blank lines for the header where it comes again; another is refused."""
         needle = self.columns.time[0].encode()
         if data.find(needle, start) < 0:
             return data
@@ -471,6 +468,9 @@ def _first(path: Path, data: bytes) -> bytes:
     packer = _packer(head)
     if packer is not None:
         raise LogError("log_not_csv", path, f"what is in it is packed again, with {packer}")
+    if head.startswith(b"SQLite format 3\0"):
+        how = "this is an SQLite database: export its table as CSV or Parquet"
+        raise LogError("log_not_csv", path, how)
     if head and not any(head):
         raise LogError("log_damaged", path, "the file holds nothing but zero bytes: copy it again")
     encoding = wide_encoding(head)
@@ -489,8 +489,7 @@ def wide_encoding(head: bytes) -> str | None:
         return "utf-32"
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    # Text has no zero byte: of plain letters in UTF-16 every other byte is one, in UTF-32 three of
-    # four.
+    # Of plain letters every other byte is zero in UTF-16, and three of four in UTF-32.
     nul = head.count(0)
     if 5 * nul <= 2 * len(head):
         return None

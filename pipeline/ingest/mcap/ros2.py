@@ -301,6 +301,8 @@ def _at_once(
         for _ in range(_MOST_LAYOUTS):
             first = bytes(text[left[0] * size + 1 :][:length])
             message = layout.places(first)
+            if message is None:
+                return None
             same = column(text, 1, "V2", size)[left] == np.frombuffer(first, "V2", 1)
             for at in layout.lengths:
                 same &= column(text, at + 1, "V4", size)[left] == np.frombuffer(first, "V4", 1, at)

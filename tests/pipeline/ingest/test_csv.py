@@ -181,7 +181,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
         f"{HEAD}{ROWS * 12_000}{DAY}0Z,{'1' * (5 * 2**20)},2\n{ROWS * 12_000}",
         *({}, "log_damaged: the rows are ambiguous"),
     ),
-    "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: not text"),
+    "an SQLite database": (b"SQLite format 3\0" + bytes(100), {}, "log_not_csv: SQLite"),
     "nothing but zero bytes": (bytes(5000), {}, "log_damaged: zero bytes"),
     **{
         f"a long table, {name}": (f"time,tag,v\n{row}\n", LONG, code)

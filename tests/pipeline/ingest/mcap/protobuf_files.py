@@ -72,7 +72,8 @@ def _declared(name: str, fields: str, syntax: str) -> Any:
         field = message.field.add(name=field_name, number=number, label=many)
         inner = Field.TYPE_ENUM if kind == "motor.Mode" else Field.TYPE_MESSAGE
         field.type = KINDS.get(kind, inner)
-        field.type_name = f".{kind}" if kind not in KINDS else ""
+        if kind not in KINDS:
+            field.type_name = f".{kind}"
         if role == ["map"]:
             entry = message.nested_type.add(name=f"{field_name.title()}Entry")
             entry.options.map_entry = True
