@@ -269,10 +269,11 @@ class _Layout:
         """Pass over some bytes, and return where they begin."""
         begin, self.at = self.at, self.at + size
         self.n_read += n_read
-        if self.n_read > MOST_READ:
-            raise OverflowError
+        # A damaged length claims more than there is: that costs the message, not the log.
         if self.at > len(self.payload):
             raise EOFError
+        if self.n_read > MOST_READ:
+            raise OverflowError
         return begin
 
 
