@@ -27,7 +27,7 @@ from pipeline.cli import app
 from pipeline.notification.outbox import Backlog
 from pipeline.run.notification import metrics_text
 from pipeline.schema import LATEST
-from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.motor_states import MotorState
 from tests.pipeline.simulated import NIGHT, motor_toml
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
 

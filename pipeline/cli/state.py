@@ -33,8 +33,8 @@ from pipeline.messages import counted
 if TYPE_CHECKING:
     from pipeline.config import Fleet, MotorSpec
     from pipeline.report.status import FleetStatus
-    from pipeline.trends.nights.decisions import Decision, Kind
-    from pipeline.trends.rows.motor_states import MotorState
+    from pipeline.trends.decisions import Decision, Kind
+    from pipeline.trends.motor_states import MotorState
 
 # Colours only support the words of a state.
 COLOURS = {
@@ -193,8 +193,8 @@ def compare(
     from pipeline.trends.comparing import compare_nights
 
     fleet = load(config, output, None, logs=False)
-    comparison = compare_nights(fleet.output, fleet.motor(motor), at, nights)
-    tell(comparison.record, "\n".join(comparison.lines), as_json=as_json)
+    record, lines = compare_nights(fleet.output, fleet.motor(motor), at, nights)
+    tell(record, "\n".join(lines), as_json=as_json)
 
 
 def ack(
@@ -240,8 +240,8 @@ def ack(
     A failed night stays out with --night, or is fitted by the next run with --night and --fit.
     """
     from pipeline.report.status import last_alarm
-    from pipeline.trends.nights.decisions import Decision, record_decision
-    from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED
+    from pipeline.trends.decisions import Decision, record_decision
+    from pipeline.trends.motor_states import ACTIONABLE, CHANGED
 
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
@@ -277,7 +277,7 @@ def _failed_night(
 ) -> Decision:
     """Return decision on a failed night; raises UsageError (``night``) if it is none."""
     from pipeline.report.status import failed_nights
-    from pipeline.trends.nights.decisions import Decision
+    from pipeline.trends.decisions import Decision
 
     fleet.known_motors([motor])
     failed = failed_nights(fleet.output, motor)
@@ -290,7 +290,7 @@ def _failed_night(
 
 def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
     """Return last night of a motor that was removed; None for one of the config."""
-    from pipeline.trends.rows.motor_states import REMOVED, published_states
+    from pipeline.trends.motor_states import REMOVED, published_states
 
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
     gone = {state.motor_id: state.row["night"] for state in states if state.state == REMOVED}
@@ -312,7 +312,7 @@ def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
 
 def _opened(motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note: str) -> Decision:
     """Finding on the parts of a motor that was opened; raises UsageError (``finding_part``)."""
-    from pipeline.trends.nights.decisions import Decision
+    from pipeline.trends.decisions import Decision
 
     worn, sound = parts
     if both := sorted({*worn} & {*sound}):
@@ -338,7 +338,7 @@ def baseline_reset(
 
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
-    from pipeline.trends.nights.decisions import Decision, record_decision
+    from pipeline.trends.decisions import Decision, record_decision
 
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])

@@ -31,7 +31,6 @@ from pipeline.intraday.rows import (
     CONFIRMED,
     NOT_JUDGED,
     WITHDRAWN,
-    Row,
     last_rows,
     publish_rows,
     row_of,
@@ -40,15 +39,14 @@ from pipeline.logs.processed import as_published, read_processed, read_settings
 from pipeline.night.time_base import Insufficient
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import OF_INTRADAY, deliver, open_outbox, receivers_of
-from pipeline.schema import BLOCKS
+from pipeline.schema import BLOCKS, Row
 from pipeline.store.atomic_files import locked
 from pipeline.store.state import StateDatabase, open_state
 from pipeline.store.tables import nights_back
-from pipeline.trends.nights.decisions import Decision, read_decisions
-from pipeline.trends.nights.trend_record import read_checkpoint
-from pipeline.trends.rows.motor_states import CLEAR, RISEN
+from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.motor_states import CLEAR, RISEN
 from pipeline.trends.sentences import in_percent
-from pipeline.trends.tasks import circuits_of, decisions_of
+from pipeline.trends.tasks import circuits_of, decisions_of, read_checkpoint
 from pipeline.workers.process import one_thread
 
 log = logging.getLogger(__name__)

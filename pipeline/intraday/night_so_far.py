@@ -37,12 +37,11 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.night.time_base import Insufficient
 from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.checkpoint import decoded, key_of
-from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.history import History, periods_of
-from pipeline.trends.nights.published_nights import read_blocks
-from pipeline.trends.nights.watch_columns import WatchColumns
-from pipeline.trends.states.course import watch_settings
+from pipeline.trends.checkpoint import decoded, key_of
+from pipeline.trends.course import watch_settings
+from pipeline.trends.decisions import Decision
+from pipeline.trends.nights import periods_of, read_blocks
+from pipeline.trends.watch_columns import WatchColumns
 
 # Latest samples are left out: what follows may be a halt, and its guard time reaches back [µs].
 SETTLE_US = 30 * SECOND_US
@@ -207,8 +206,8 @@ def nights_before(
         raise Insufficient("", "a new baseline begins")
     last = label - DAY
     watch_columns = WatchColumns.of(spec, last)
-    history = History(spec, watch_columns, checkpoint.records, tuple(decisions))
-    period = history.nights[periods_of(history)[-1].first]
+    newest = periods_of(spec, decisions, checkpoint.records)[-1]
+    period: dt.date = checkpoint.records["night"][newest.first].item()
     machine, settings, known = (
         watch_columns.machine(spec, period),
         watch_settings(spec),

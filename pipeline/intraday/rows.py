@@ -6,14 +6,14 @@ import datetime as dt
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pipeline.clock import utc
-from pipeline.schema import INTRADAY
+from pipeline.schema import INTRADAY, Row
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import StateDatabase
 from pipeline.store.tables import read_rows
-from pipeline.trends.rows.motor_states import CLEAR, RISEN, IntradayStatus
+from pipeline.trends.motor_states import CLEAR, RISEN, IntradayStatus
 
 if TYPE_CHECKING:
     from leakage.watch import Estimate
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 CONFIRMED, WITHDRAWN = "confirmed", "withdrawn"
 # Said of a motor by a check, and no row.
 NOT_JUDGED = "not_judged"
-
-Row = dict[str, Any]
 
 
 def row_of(

@@ -43,8 +43,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
 from pipeline.night.statistics import NightStatistics
 from pipeline.night.stored_blocks import StoredBlocks
-
-Row = dict[str, Any]
+from pipeline.schema import Row
 
 REFERENCE, OWN = "fitted_leakage", "own_conditions_leakage"
 # ± of a change of all loss factors with temperature, which one night cannot tell (model.md,

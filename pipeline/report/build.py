@@ -37,9 +37,9 @@ from pipeline.store.atomic_files import (
     store_errors,
 )
 from pipeline.store.tables import files_of, read_rows, table_folder
-from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.alarm_rows import what_of
-from pipeline.trends.rows.motor_states import ORDER, MotorState
+from pipeline.trends.alarm_rows import what_of
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import ORDER, MotorState
 from pipeline.trends.sentences import change_of, part_of
 
 MANIFEST = "manifest.json"

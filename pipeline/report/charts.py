@@ -20,8 +20,8 @@ from pipeline.config.motors import Event
 from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory
-from pipeline.trends.nights.decisions import LEAKAGE
-from pipeline.trends.rows.alarm_rows import what_of
+from pipeline.trends.alarm_rows import what_of
+from pipeline.trends.decisions import LEAKAGE
 from pipeline.trends.sentences import DATED, cause_words
 
 # Times of a chart, or lags [s].

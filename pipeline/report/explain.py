@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from statistics import mean, stdev
-from typing import Any
 
 from pipeline.errors import UsageError
 from pipeline.messages import counted, plain, statement
@@ -24,12 +23,11 @@ from pipeline.schema import (
     PREDICTIONS,
     QUALITY,
     RESIDUAL_TESTS,
+    Row,
 )
 from pipeline.schema.fits import LEAST_GAIN_PERCENT, OK
 from pipeline.store.tables import read_rows
-from pipeline.trends.rows.motor_states import FITS_OF_A_NIGHT, fit_words
-
-Row = dict[str, Any]
+from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Paragraph = tuple[str, list[str]]  # a title and its lines; the headline has none
 # Tables that the words on a night are made from.

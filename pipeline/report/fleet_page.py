@@ -15,7 +15,7 @@ from pipeline.config.settings import ReferenceConditions
 from pipeline.palette import COLOURS
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
-from pipeline.trends.rows.motor_states import MotorState, urgency
+from pipeline.trends.motor_states import MotorState, urgency
 
 Span = tuple[dt.date, dt.date]
 RECENT_NIGHTS = 30

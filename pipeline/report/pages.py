@@ -9,8 +9,16 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from pipeline.messages import as_sentence, plain
-from pipeline.report.words import ABSENT, STATES, candidates, conditions, figure, of_model
-from pipeline.trends.sentences import change_of, name_of
+from pipeline.report.words import (
+    ABSENT,
+    STATES,
+    candidates,
+    conditions,
+    figure,
+    name_of,
+    of_model,
+)
+from pipeline.trends.sentences import change_of
 
 FOLDER = Path(__file__).parent
 

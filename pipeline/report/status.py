@@ -21,9 +21,9 @@ from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.alarm_rows import what_of
-from pipeline.trends.rows.motor_states import MotorState, published_states, urgency
+from pipeline.trends.alarm_rows import what_of
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import MotorState, published_states, urgency
 
 # Failed nights of a motor that are listed, the newest.
 MOST_FAILED = 3

@@ -69,7 +69,7 @@ from pipeline.store.object_store import ObjectStore, copy_output
 from pipeline.store.published import TableFault
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import LAST_RUN, StateDatabase, make_ready, open_state
-from pipeline.trends.nights.decisions import publish_decisions, restore_decisions
+from pipeline.trends.decisions import publish_decisions, restore_decisions
 from pipeline.trends.tasks import TrendOutcome
 from pipeline.workers.engine import Workers, open_workers
 from pipeline.workers.process import Loss, Mark

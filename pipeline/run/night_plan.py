@@ -40,10 +40,9 @@ from pipeline.schema.fits import (
     WITH_SAMPLES,
 )
 from pipeline.store.state import read_state_file
-from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.nights.trend_record import read_records, trend_hash
-from pipeline.trends.rows.motor_states import CHANGED, published_states
-from pipeline.trends.tasks import decisions_of
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import CHANGED, published_states
+from pipeline.trends.tasks import decisions_of, read_records, trend_hash
 
 if TYPE_CHECKING:
     from pipeline.night.fit_night import NightOutcome

@@ -20,7 +20,7 @@ from pipeline.schema import LATEST
 from pipeline.store.atomic_files import put, remove_leftovers
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.state import StateDatabase, open_state
-from pipeline.trends.rows.motor_states import (
+from pipeline.trends.motor_states import (
     CLEAR,
     ORDER,
     RISEN,

@@ -34,7 +34,7 @@ from pipeline.store.published import (
 from pipeline.store.publishing import Publisher
 from pipeline.store.state import StateDatabase, read_state_file
 from pipeline.store.tables import MONTH_PREFIX, days_of, files_of, read_table, whole_file
-from pipeline.trends.nights.trend_record import note_touched
+from pipeline.trends.tasks import note_touched
 
 log = logging.getLogger(__name__)
 

@@ -36,10 +36,14 @@ from pipeline.schema import (
 from pipeline.store.publishing import Publisher, stage, staged_file, write_views
 from pipeline.store.state import StateDatabase
 from pipeline.store.tables import read_rows, read_table, whole_file
-from pipeline.trends.nights.decisions import Decision, read_decisions
-from pipeline.trends.nights.trend_record import note_touched, write_record
-from pipeline.trends.rows.motor_states import REMOVED, is_confirmed, latest_rows
-from pipeline.trends.rows.night_rows import CARRIED, in_state_before
+from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.motor_states import (
+    CARRIED,
+    REMOVED,
+    in_state_before,
+    is_confirmed,
+    latest_rows,
+)
 from pipeline.trends.tasks import (
     NewestNight,
     TrendOutcome,
@@ -47,8 +51,10 @@ from pipeline.trends.tasks import (
     checkpoint_file,
     lost_trends,
     newest_night_of,
+    note_touched,
     trend_tasks,
     without_lost_motor,
+    write_record,
 )
 from pipeline.workers.engine import Workers
 from pipeline.workers.process import Loss

@@ -16,7 +16,7 @@ from pipeline.logs.finding import legible
 from pipeline.logs.processed import FileRecord, ProcessedChange, ProcessedLogs
 from pipeline.schema.fits import FAILED
 from pipeline.store.published import TableFault
-from pipeline.trends.nights.decisions import Kind, read_decisions
+from pipeline.trends.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss
 
 if TYPE_CHECKING:

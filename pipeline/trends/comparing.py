@@ -3,80 +3,34 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from leakage import EstimationError
-from leakage.watch import Comparison, NightBlocks, compare
+from leakage.watch import Comparison, compare
 from pipeline.config import MotorSpec
 from pipeline.errors import UsageError
 from pipeline.logs.processed import as_published, read_settings
 from pipeline.schema import BLOCKS
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import nights_back
-from pipeline.trends.nights.published_nights import read_blocks
-from pipeline.trends.nights.watch_columns import WatchColumns
-from pipeline.trends.sentences import cause_words, day, percent, relative_change
-from pipeline.trends.states.course import watch_settings
+from pipeline.trends.course import watch_settings
+from pipeline.trends.nights import read_blocks
+from pipeline.trends.sentences import MOST_CANDIDATES, cause_words, day, percent, relative_change
+from pipeline.trends.watch_columns import WatchColumns
 
 # Below this probability nothing is said of a cause.
 EVEN = 0.5
-MOST_CANDIDATES = 3
 
 
-@dataclass(frozen=True, slots=True)
-class NightsCompared:
-    """A comparison, and the nights that it is of."""
-
-    motor_id: str
-    before: tuple[dt.date, ...]
-    after: tuple[dt.date, ...]
-    comparison: Comparison
-
-    @property
-    def record(self) -> dict[str, object]:
-        """It as plain data, for programs."""
-        comparison = self.comparison
-        return {
-            "motor_id": self.motor_id,
-            "before": [str(night) for night in self.before],
-            "after": [str(night) for night in self.after],
-            "change": comparison.change.value,
-            "change_lower": comparison.change.lower,
-            "change_upper": comparison.change.upper,
-            "probability": comparison.probability,
-            "cause": comparison.cause,
-            "cause_probability": comparison.cause_probability,
-            "candidates": dict(comparison.candidates),
-            "lack_of_fit": comparison.lack_of_fit,
-            "is_other_duty": comparison.operates_otherwise,
-        }
-
-    @property
-    def lines(self) -> list[str]:
-        """What is reported of it."""
-        comparison = self.comparison
-        lines = [
-            f"{self.motor_id}: {_nights(self.after)} against {_nights(self.before)}",
-            f"case drain flow at the same conditions {relative_change(comparison.change)}; "
-            f"probability of a change {percent(comparison.probability)}",
-        ]
-        if comparison.probability > EVEN:
-            likeliest = sorted(comparison.candidates.items(), key=lambda item: -item[1])
-            causes = [
-                f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]
-            ]
-            lines.append(f"cause: {', '.join(causes)}")
-        if comparison.operates_otherwise:
-            lines.append("load or speed are others than before: the interval is wider by that")
-        return [*lines, f"the model misses {100 * comparison.lack_of_fit:.1f} % of the flow before"]
-
-
-def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> NightsCompared:
+def compare_nights(
+    output: Path, spec: MotorSpec, at: dt.date, most: int
+) -> tuple[dict[str, Any], list[str]]:
     """Compare a motor's nights from a date on with those before, so many on each side at most.
 
-    None beyond another event that begins a baseline.
+    None beyond another event that begins a baseline. Returns the comparison as plain data, and
+    what is reported of it in lines.
 
     Raises
     ------
@@ -100,12 +54,43 @@ def compare_nights(output: Path, spec: MotorSpec, at: dt.date, most: int) -> Nig
         comparison = compare(machine, before, after, watch_settings(spec))
     except EstimationError as error:
         raise UsageError("compare_nights", f"{spec.motor_id}, {at}: {error.message}") from None
-    return NightsCompared(spec.motor_id, _labels(before), _labels(after), comparison)
+    of_before, of_after = (
+        [dt.date.fromordinal(night.day) for night in some] for some in (before, after)
+    )
+    record = {
+        "motor_id": spec.motor_id,
+        "before": list(map(str, of_before)),
+        "after": list(map(str, of_after)),
+        "change": comparison.change.value,
+        "change_lower": comparison.change.lower,
+        "change_upper": comparison.change.upper,
+        "probability": comparison.probability,
+        "cause": comparison.cause,
+        "cause_probability": comparison.cause_probability,
+        "candidates": dict(comparison.candidates),
+        "lack_of_fit": comparison.lack_of_fit,
+        "is_other_duty": comparison.operates_otherwise,
+    }
+    return record, list(_lines(spec.motor_id, of_before, of_after, comparison))
 
 
-def _labels(nights: Sequence[NightBlocks]) -> tuple[dt.date, ...]:
-    return tuple(dt.date.fromordinal(night.day) for night in nights)
+def _lines(
+    motor_id: str, before: Sequence[dt.date], after: Sequence[dt.date], comparison: Comparison
+) -> Iterator[str]:
+    """Yield what is reported of a comparison."""
+    yield f"{motor_id}: {_nights(after)} against {_nights(before)}"
+    yield (
+        f"case drain flow at the same conditions {relative_change(comparison.change)}; "
+        f"probability of a change {percent(comparison.probability)}"
+    )
+    if comparison.probability > EVEN:
+        likeliest = sorted(comparison.candidates.items(), key=lambda item: -item[1])
+        causes = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
+        yield f"cause: {', '.join(causes)}"
+    if comparison.operates_otherwise:
+        yield "load or speed are others than before: the interval is wider by that"
+    yield f"the model misses {100 * comparison.lack_of_fit:.1f} % of the flow before"
 
 
-def _nights(nights: tuple[dt.date, ...]) -> str:
+def _nights(nights: Sequence[dt.date]) -> str:
     return f"{len(nights)} nights ({day(nights[0])} to {day(nights[-1])})"

@@ -11,19 +11,8 @@ from pipeline.messages import as_sentence, plain
 
 if TYPE_CHECKING:
     from leakage.watch import Change, Estimate
-    from pipeline.trends.states.night_state import NightState
+    from pipeline.trends.night_state import NightState
 
-NAMES = {
-    "leakage": "leakage",
-    "reference_leakage": "leakage at reference conditions",
-    "own_reference_leakage": "leakage at its usual operating point",
-    "baseline_deviation": "case drain flow against the baseline",
-    "drain_flow": "case drain flow",
-    "oil_viscosity": "viscosity as measured against the data sheet",
-    "C_f": "flushing",
-    "pressure_zero": "zero of the pressure sensor",
-    "flow_zero": "zero of the flow sensor",
-}
 # What has happened, by cause; of any other cause the leakage of its path has changed.
 WHAT = {
     "all_gaps": "leakage of all gaps has {risen} together",
@@ -78,25 +67,6 @@ MOST_CANDIDATES, LEAST_REPORTED = 3, 0.05
 DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is given to the day, not to the month.
 TO_THE_DAY = 60
-MONTHS = (
-    *("January", "February", "March", "April", "May", "June"),
-    *("July", "August", "September", "October", "November", "December"),
-)
-
-
-def name_of(indicator: str) -> str:
-    """Return an indicator's name for people.
-
-    Examples
-    --------
-    >>> name_of("K_balance_sleeve"), name_of("gap_change_piston_ring"), name_of("drain_flow")
-    ('balance sleeve leakage coefficient', 'piston ring gap', 'case drain flow')
-    """
-    kinds = (("K_", "leakage coefficient"), ("leakage_", "leakage"), ("gap_change_", "gap"))
-    for prefix, what in kinds:
-        if indicator.startswith(prefix):
-            return f"{indicator.removeprefix(prefix).replace('_', ' ')} {what}"
-    return NAMES.get(indicator, indicator.replace("_", " "))
 
 
 def day(date: object) -> str:
@@ -108,8 +78,8 @@ def day(date: object) -> str:
     >>> day(dt.date(2026, 10, 3))
     '3 October 2026'
     """
-    year, month, day_of_month = str(date)[:10].split("-")
-    return f"{int(day_of_month)} {MONTHS[int(month) - 1]} {year}"
+    label = dt.date.fromisoformat(str(date)[:10])
+    return f"{label.day} {label:%B %Y}"
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:
@@ -244,7 +214,8 @@ def _limit_words(night: NightState) -> str:
 def _insufficient(night: NightState) -> str:
     begin = "" if night.period.reason == "first nights" else f" since {night.period.reason}"
     none = f"; {day(night.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
-    return f"{night.n_waiting} of {night.needed} nights of a baseline{begin}{none}"
+    needed = night.spec.settings.trend.baseline_nights
+    return f"{night.n_waiting} of {needed} nights of a baseline{begin}{none}"
 
 
 def _quiet(night: NightState, since: dt.date) -> str:

@@ -13,16 +13,21 @@ from functools import partial
 from typing import TypeVar
 
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS, Table
+from pipeline.schema import ALARMS, Row, Table
 from pipeline.store.atomic_files import store_errors
 from pipeline.store.publishing import stage, staged_file
-from pipeline.trends.nights.checkpoint import decoded, key_of
-from pipeline.trends.nights.published_nights import PublishedNights, Wanted, read_nights
-from pipeline.trends.nights.trend_record import Record
-from pipeline.trends.rows.alarm_rows import new_rows, without_past
-from pipeline.trends.rows.motor_trends import MotorTrends
-from pipeline.trends.states.course import Course
-from pipeline.trends.tasks import Circuit, Row, TrendOutcome, TrendTask, checkpoint_file
+from pipeline.trends.alarm_rows import new_rows, without_past
+from pipeline.trends.checkpoint import key_of
+from pipeline.trends.course import Course
+from pipeline.trends.motor_trends import MotorTrends
+from pipeline.trends.nights import PublishedNights, read_nights
+from pipeline.trends.tasks import (
+    Record,
+    TrendOutcome,
+    TrendTask,
+    checkpoint_file,
+    lost_trends,
+)
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -33,33 +38,16 @@ Made = TypeVar("Made")
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with one_thread():
-        done = TrendOutcome(failures=dict(task.given_up))
         try:
-            nights = read_nights(task.output, [_wanted(task, circuit) for circuit in task.circuits])
+            nights = read_nights(task.output, task.circuits)
         except StoreError as error:
-            ids = (spec.motor_id for spec in task.specs)
-            return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))
+            return lost_trends(task, _failure(error))
+        done = TrendOutcome(failures=dict(task.given_up))
         for circuit in task.circuits:
-            own = {name: nights[name] for name in sorted(circuit.records) if name in nights}
-            _run_circuit(task, circuit, own, done)
+            names = sorted(motor.spec.motor_id for motor in circuit)
+            own = {name: nights[name] for name in names if name in nights}
+            _run_circuit(task, own, done)
         return done
-
-
-def _wanted(task: TrendTask, circuit: Circuit) -> list[Wanted]:
-    """Return what is needed of the motors of a circuit."""
-    spans = circuit.spans(task.changed_from, task.newest_night)
-    wanted = []
-    for spec in circuit.specs:
-        motor_id, record = spec.motor_id, circuit.records[spec.motor_id]
-        decisions, checkpoint = circuit.decisions[motor_id], None
-        if record is not None and record.trend_hash == circuit.hashes[motor_id]:
-            expected = key_of(spec, decisions), record.last_night
-            checkpoint = decoded(task.checkpoints.get(motor_id))
-            if checkpoint and (checkpoint.key, checkpoint.last_night) != expected:
-                checkpoint = None
-        unpublished = task.unpublished.get(motor_id, {})
-        wanted.append(Wanted(spec, decisions, checkpoint, *spans[motor_id], unpublished))
-    return wanted
 
 
 def _guarded(done: TrendOutcome, motor_id: str, make: Callable[[], Made]) -> Made | None:
@@ -85,23 +73,22 @@ def _failure(error: Exception) -> Loss:
 
 
 def _run_circuit(
-    task: TrendTask, circuit: Circuit, nights: Mapping[str, PublishedNights], done: TrendOutcome
+    task: TrendTask, nights: Mapping[str, PublishedNights], done: TrendOutcome
 ) -> None:
     """Make and stage the trends of a circuit's motors."""
     courses: dict[str, Course] = {}
     made: dict[str, MotorTrends] = {}
-    for name, motor in nights.items():
-        course = _guarded(done, name, partial(Course.of, task.output, motor))
+    for name, published in nights.items():
+        course = _guarded(done, name, partial(Course.of, task.output, published))
         if course is None:
             continue
         courses[name] = course
-        if motor.wanted.first is not None:
-            first, stays = motor.wanted.first, task.stays.get(name, {})
-            trends = _guarded(done, name, partial(MotorTrends.of, course, first, stays))
+        if (first := published.motor.first) is not None:
+            trends = _guarded(done, name, partial(MotorTrends.of, course, first))
             made |= {} if trends is None else {name: trends}
     _advance(courses, made, done)
     for name, trends in made.items():
-        staged = _guarded(done, name, partial(_stage_motor, task, circuit, trends))
+        staged = _guarded(done, name, partial(_stage_motor, task, trends))
         if staged is not None:
             done.records[name], new, notified = staged
             done.alarms.extend(notified)
@@ -129,30 +116,29 @@ def _advance(
 
 
 def _stage_motor(
-    task: TrendTask, circuit: Circuit, trends: MotorTrends
+    task: TrendTask, trends: MotorTrends
 ) -> tuple[Record, list[Row], list[Row]] | None:
     """Stage a motor's rows and its checkpoint.
 
     Its record, new alarms, and those of them that people are notified of.
     """
-    history = trends.course.nights.history
-    spec, labels = history.spec, trends.nights
+    nights, labels = trends.course.nights, trends.nights
+    motor, motor_id = nights.motor, nights.spec.motor_id
     if not labels:
         return None
-    motor_id, before = spec.motor_id, circuit.records[spec.motor_id]
-    record = Record(circuit.hashes[motor_id], labels[-1])
     rows = trends.by_table()
     staged: dict[Table, dict[dt.date, list[Row]]] = {}
     for table, some in rows.items():
-        nights = staged[table] = {label: [] for label in labels}
+        by_night = staged[table] = {label: [] for label in labels}
         for row in some:
-            nights[row["night"]].append(row)
+            by_night[row["night"]].append(row)
     stage(staged_file(task.staging / "trends", motor_id), staged)
     path = checkpoint_file(task.staging, motor_id)
+    checkpoint = trends.course.checkpoint(key_of(nights.spec, motor.decisions))
     with store_errors(path):
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(trends.course.checkpoint(key_of(spec, history.decisions)).encoded())
-    published = trends.course.nights.alarms
-    new = new_rows(rows[ALARMS], published)
-    last_night = dt.date.min if before is None else before.last_night
-    return record, new, without_past(rows[ALARMS], new, published, last_night)
+        path.write_bytes(checkpoint.encoded())
+    new = new_rows(rows[ALARMS], nights.alarms)
+    last_night = dt.date.min if motor.record is None else motor.record.last_night
+    notified = without_past(rows[ALARMS], new, nights.alarms, last_night)
+    return Record(motor.trend_hash, labels[-1]), new, notified

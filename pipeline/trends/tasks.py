@@ -1,4 +1,7 @@
-"""Tasks of the trend stage and their outcomes: plain data, and nothing that loads the science."""
+"""Tasks of the trend stage, the record of what it has published, and outcomes: plain data.
+
+Nothing here loads the science.
+"""
 
 from __future__ import annotations
 
@@ -12,23 +15,85 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
-from pipeline.logs.processed import (
-    as_published,
-    read_settings,
-    read_stays,
-    unpublished_rows,
-)
-from pipeline.schema import NIGHTS
+from pipeline.config.hashes import config_hash, hash_of
+from pipeline.config.nights import DAY
+from pipeline.logs.processed import as_published, read_settings, read_stays, unpublished_rows
+from pipeline.schema import NIGHTS, Row
 from pipeline.schema.fits import WITH_SAMPLES
 from pipeline.store.state import StateDatabase
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.trend_record import Record, read_checkpoint, read_records, trend_hash
+from pipeline.trends.decisions import Decision
 from pipeline.workers.process import Loss
 
-Row = dict[str, Any]
+# Raise it when the code makes other trends of the same tables: all of them are then made anew.
+TRENDS_VERSION = 14
 
-DAY = dt.timedelta(days=1)
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A motor's published trends."""
+
+    trend_hash: str  # hash of their settings
+    last_night: dt.date
+    # First night whose trends are out of date, as its rows were made anew; None without one.
+    redo_from: dt.date | None = None
+
+
+def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
+    """Return hash of all settings that shape a motor's trends: its own config and decisions.
+
+    Those of its circuit's other motors are no reason to make its trends anew.
+    """
+    resets = [
+        (decision.night.isoformat(), decision.indicator, decision.note)
+        for decision in decisions
+        if decision.kind == "baseline_reset"
+    ]
+    return hash_of({"version": TRENDS_VERSION, "config": config_hash(spec), "resets": resets})
+
+
+def read_records(state: StateDatabase) -> dict[str, Record]:
+    """Return records of the trends of all motors, by motor."""
+    rows = state.rows("SELECT motor_id, trend_hash, last_night, redo_from FROM trends")
+    return {
+        motor_id: Record(
+            trend_hash,
+            dt.date.fromisoformat(last_night),
+            None if redo_from is None else dt.date.fromisoformat(redo_from),
+        )
+        for motor_id, trend_hash, last_night, redo_from in rows
+    }
+
+
+def read_checkpoint(state: StateDatabase, motor_id: str) -> bytes | None:
+    """Return a motor's checkpoint, which saves its watch being made anew; None without any."""
+    rows = state.rows("SELECT checkpoint FROM trends WHERE motor_id = ?", motor_id)
+    return rows[0][0] if rows else None
+
+
+def write_record(
+    state: StateDatabase, motor_id: str, record: Record, checkpoint: bytes | None = None
+) -> None:
+    """Write the record of a motor's trends, and its checkpoint; raises StoreError."""
+    state.write(
+        "INSERT OR REPLACE INTO trends VALUES (?, ?, ?, ?, ?)",
+        motor_id,
+        record.trend_hash,
+        str(record.last_night),
+        None if record.redo_from is None else str(record.redo_from),
+        checkpoint,
+    )
+
+
+def note_touched(state: StateDatabase, touched: Iterable[tuple[str, dt.date]]) -> None:
+    """Mark motors' trends from a night on as out of date, before their rows change.
+
+    If the run is broken off before its trends, the next one makes them."""
+    state.write_all(
+        "UPDATE trends SET redo_from = min(coalesce(redo_from, ?2), ?2)"
+        " WHERE motor_id = ?1 AND last_night >= ?2",
+        [(motor_id, str(night)) for motor_id, night in touched],
+    )
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
@@ -40,65 +105,78 @@ def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Circuit:
-    """Motors of one oil circuit, and what is known of each before its nights are read.
+class TrendMotor:
+    """A motor of a task, and what is known of it before its nights are read.
 
-    By motor: what people said of it, what is remembered of its trends, and the hash of all that
-    shapes them beyond the tables.
+    `first` and `until` are the first and the last night whose trends are made; without a first one
+    none are, and the motor is only seen by the others of its oil circuit.
     """
 
-    specs: tuple[MotorSpec, ...]
-    decisions: Mapping[str, tuple[Decision, ...]]
-    records: Mapping[str, Record | None]
-    hashes: Mapping[str, str]
+    spec: MotorSpec  # as its fits are published
+    decisions: tuple[Decision, ...] = ()
+    record: Record | None = None
+    trend_hash: str = ""  # of all that shapes its trends beyond the tables
+    first: dt.date | None = None
+    until: dt.date = dt.date.max
+    checkpoint: bytes | None = None  # as the state file has it
+    # Rows of nights as far as these fill them, which are not in `nights` yet.
+    unpublished: Mapping[dt.date, Row] = field(default_factory=dict)
+    stays: Mapping[dt.date, str] = field(default_factory=dict)  # why nights stay as published
 
-    @classmethod
-    def of(
-        cls,
-        specs: Sequence[MotorSpec],
-        decisions: Iterable[Decision],
-        records: Mapping[str, Record],
-        settings: Mapping[str, Mapping[str, Any]],
-    ) -> Circuit:
-        """A circuit with its motors as their fits are published, and what is remembered of them."""
-        specs = [as_published(spec, settings.get(spec.motor_id)) for spec in specs]
-        own_decisions = decisions_of(specs, decisions)
-        return cls(
-            tuple(specs),
-            own_decisions,
-            {spec.motor_id: records.get(spec.motor_id) for spec in specs},
-            {spec.motor_id: trend_hash(spec, own_decisions[spec.motor_id]) for spec in specs},
-        )
+    @property
+    def is_as_recorded(self) -> bool:
+        """True if its published trends are of the settings of now."""
+        return self.record is not None and self.record.trend_hash == self.trend_hash
 
-    def spans(
-        self, changed_from: Mapping[str, dt.date | None], newest_night: NewestNight
-    ) -> dict[str, tuple[dt.date | None, dt.date]]:
-        """First and last night of each motor whose trends are to be made; the first None: none are.
 
-        New nights, and those from the first on that a late log of any motor has touched: what one
-        does says what moves all. All of them where a motor's own settings, events or resets
-        changed; that touches no other. A motor that was not asked for gets no new nights.
-        """
-        touched = [
-            night
-            for motor_id, record in self.records.items()
-            if record is not None and record.trend_hash == self.hashes[motor_id]
-            for night in (changed_from.get(motor_id), record.redo_from)
-            if night is not None
-        ]
-        spans: dict[str, tuple[dt.date | None, dt.date]] = {}
-        for motor_id, record in self.records.items():
-            last, first = newest_night.of(motor_id), None
-            if record is None:
-                first = dt.date.min if motor_id in changed_from else None
-            elif record.trend_hash != self.hashes[motor_id]:
-                first = dt.date.min
-            else:
-                first = min([record.last_night + DAY, *touched])
-            if record is not None and motor_id not in changed_from:
-                last = min(last, record.last_night)
-            spans[motor_id] = (first if first is not None and first <= last else None, last)
-        return spans
+Circuit = tuple[TrendMotor, ...]  # the motors of one oil circuit
+
+
+def circuit_of(
+    specs: Sequence[MotorSpec],
+    decisions: Iterable[Decision],
+    records: Mapping[str, Record],
+    settings: Mapping[str, Mapping[str, Any]],
+) -> Circuit:
+    """Return a circuit's motors as their fits are published, and what is remembered of them."""
+    own, motors = decisions_of(specs, decisions), []
+    for spec in specs:
+        said = own[spec.motor_id]
+        published = as_published(spec, settings.get(spec.motor_id))
+        record = records.get(spec.motor_id)
+        motors.append(TrendMotor(published, said, record, trend_hash(published, said)))
+    return tuple(motors)
+
+
+def with_spans(
+    circuit: Circuit, changed_from: Mapping[str, dt.date | None], newest_night: NewestNight
+) -> Circuit:
+    """Return a circuit's motors with the nights whose trends are to be made.
+
+    `changed_from` has the first night with new rows of each motor that was asked for, or None.
+    To be made are new nights, and those from the first on that a late log of any motor has touched:
+    what one does says what moves all. All of them where a motor's own settings, events or resets
+    changed; that touches no other. A motor that was not asked for gets no new nights.
+    """
+    touched = [
+        night
+        for motor in circuit
+        if motor.record is not None and motor.is_as_recorded
+        for night in (changed_from.get(motor.spec.motor_id), motor.record.redo_from)
+        if night is not None
+    ]
+    motors = []
+    for motor in circuit:
+        record, is_asked_for = motor.record, motor.spec.motor_id in changed_from
+        until = newest_night.of(motor.spec.motor_id)
+        if record is None:
+            first = dt.date.min if is_asked_for else dt.date.max
+        else:
+            until = until if is_asked_for else min(until, record.last_night)
+            is_anew = not motor.is_as_recorded
+            first = dt.date.min if is_anew else min([record.last_night + DAY, *touched])
+        motors.append(replace(motor, first=first if first <= until else None, until=until))
+    return tuple(motors)
 
 
 def decisions_of(
@@ -155,39 +233,28 @@ def newest_night_of(
 
 @dataclass(frozen=True, slots=True)
 class TrendTask:
-    """Whole oil circuits whose trends are to be made, up to the newest night.
+    """Whole oil circuits whose trends are to be made.
 
-    `checkpoints` has what the run before left of a motor, if anything, as the state file has it;
-    `changed_from` has the first night with new rows of each motor that was asked for, or None;
-    `given_up` how this run's workers were lost in a motor's trends.
+    `given_up` says how this run's workers were lost in a motor's trends.
     """
 
     circuits: tuple[Circuit, ...]
     output: Path
     staging: Path
-    changed_from: Mapping[str, dt.date | None]
-    newest_night: NewestNight
-    checkpoints: Mapping[str, bytes | None] = field(default_factory=dict)
-    # By motor, rows of nights as far as these fill them, which are not in `nights` yet.
-    unpublished: Mapping[str, Mapping[dt.date, Row]] = field(default_factory=dict)
-    # By motor, why nights stay as published.
-    stays: Mapping[str, Mapping[dt.date, str]] = field(default_factory=dict)
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return f"trends of {', '.join(spec.motor_id for spec in self.specs)}"
+        return f"trends of {', '.join(self.motor_ids)}"
 
     @property
-    def specs(self) -> list[MotorSpec]:
-        """The motors."""
-        return [spec for circuit in self.circuits for spec in circuit.specs]
+    def motor_ids(self) -> list[str]:
+        """Ids of the motors."""
+        return [motor.spec.motor_id for circuit in self.circuits for motor in circuit]
 
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """By motor: failures, and of each with nights its record.
-
-    The checkpoint of a motor is staged beside its rows.
+    """By motor: failures, and of each with nights its record; its checkpoint is staged.
 
     `alarms` are the new rows of `alarms` that people are notified of, `silent` the ids of others.
     """
@@ -218,23 +285,25 @@ def trend_tasks(
     for group in circuits_of(specs):
         if not any(spec.motor_id in changed_from for spec in group):
             continue
-        circuit = Circuit.of(group, decisions, records, settings)
-        if any(first for first, _ in circuit.spans(changed_from, newest_night).values()):
-            if sum(len(other.specs) for other in batches[-1]) >= motors_a_task:
+        circuit = circuit_of(group, decisions, records, settings)
+        circuit = with_spans(circuit, changed_from, newest_night)
+        if any(motor.first for motor in circuit):
+            if sum(map(len, batches[-1])) >= motors_a_task:
                 batches.append([])
             batches[-1].append(circuit)
-    for batch in filter(None, batches):
-        names = [name for circuit in batch for name in circuit.records]
-        yield TrendTask(
-            tuple(batch),
-            state.output,
-            staging,
-            changed_from,
-            newest_night,
-            {name: read_checkpoint(state, name) for name in names},
-            {name: unpublished_rows(state, name) for name in names},
-            {name: stays.get(name, {}) for name in names},
+
+    def whole(motor: TrendMotor) -> TrendMotor:
+        name = motor.spec.motor_id
+        return replace(
+            motor,
+            checkpoint=read_checkpoint(state, name),
+            unpublished=unpublished_rows(state, name),
+            stays=stays.get(name, {}),
         )
+
+    for batch in filter(None, batches):
+        circuits = tuple(tuple(map(whole, circuit)) for circuit in batch)
+        yield TrendTask(circuits, state.output, staging)
 
 
 def checkpoint_file(staging: Path, motor_id: str) -> Path:
@@ -244,8 +313,8 @@ def checkpoint_file(staging: Path, motor_id: str) -> Path:
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
     """Return the outcome of a task that was lost as a whole."""
-    ids = (spec.motor_id for spec in task.specs)
-    return TrendOutcome(failures={motor_id: task.given_up.get(motor_id, loss) for motor_id in ids})
+    losses = dict.fromkeys(task.motor_ids, loss)
+    return TrendOutcome(failures=losses | dict(task.given_up))
 
 
 def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:

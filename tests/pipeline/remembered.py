@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.logs.processed import ProcessedLogs, read_processed
 from pipeline.store.state import STATE_FILE, open_state
-from pipeline.trends.nights.trend_record import Record, read_records
+from pipeline.trends.tasks import Record, read_records
 
 # Files and folders of an output that outlive a run.
 LASTING = {

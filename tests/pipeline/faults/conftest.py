@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.trends.nights.decisions import Decision, record_decision
+from pipeline.trends.decisions import Decision, record_decision
 from tests.conftest import made_once
 from tests.pipeline.faults.crash import Victim, victim_in
 from tests.pipeline.faults.fleet import TinyFleet, remembered_fits

@@ -24,7 +24,7 @@ from pipeline.config import load_fleet
 from pipeline.report.build import build_report
 from pipeline.schema import FITS, PREDICTIONS, TRENDS
 from pipeline.store.published import verify_tables
-from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.decisions import read_decisions
 from tests.pipeline.calling import contents
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.crash import FAULTS, End, Fault, Victim

@@ -33,7 +33,7 @@ from pipeline.store.published import (
 )
 from pipeline.store.state import StateDatabase, open_state
 from pipeline.store.tables import name_of, read_rows
-from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.decisions import read_decisions
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.faults.conftest import say
 from tests.pipeline.faults.fleet import (

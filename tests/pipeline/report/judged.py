@@ -11,8 +11,8 @@ from pipeline.report.build import build_report
 from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.schema import NIGHTS as NIGHT_TABLE
 from pipeline.store.tables import read_table
-from pipeline.trends.nights.decisions import Decision, record_decision
-from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.decisions import Decision, record_decision
+from pipeline.trends.motor_states import MotorState
 from tests.pipeline.report.conftest import demo_fleet
 from tests.pipeline.report.states import (
     FIGURES,

@@ -11,8 +11,8 @@ import pytest
 
 from pipeline.schema import ALARMS, LATEST, NIGHTS, Table, frame
 from pipeline.store.tables import whole_file
-from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.decisions import Decision
+from pipeline.trends.motor_states import MotorState
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.written import write_nights, write_table
 

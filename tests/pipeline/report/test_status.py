@@ -16,8 +16,8 @@ from pipeline.errors import UsageError
 from pipeline.report.status import last_alarm
 from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, RUNS, frame
-from pipeline.trends.nights.decisions import read_decisions
-from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED, ORDER, IntradayStatus, urgency
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import ACTIONABLE, CHANGED, ORDER, IntradayStatus, urgency
 from tests.pipeline.calling import Call
 from tests.pipeline.report.states import night_of, output, state_of
 from tests.pipeline.written import night_file, publisher_of, write_nights

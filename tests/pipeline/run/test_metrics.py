@@ -20,7 +20,7 @@ from pipeline.run.notification import (
     write_metrics,
 )
 from pipeline.schema import LATEST
-from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.motor_states import MotorState
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
 FLEET: Any = SimpleNamespace(name='Mill "A"\\ north')

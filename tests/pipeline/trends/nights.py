@@ -28,7 +28,7 @@ from pipeline.night.rows import night_row
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import BLOCKS, FITS, NIGHTS, PARAMETERS, Table, frame
 from pipeline.store.tables import read_rows
-from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.decisions import Decision
 from tests.pipeline.simulated import FLEET, motor_toml, with_file, write_configs
 from tests.pipeline.written import write_nights
 

@@ -2,167 +2,143 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
-from pipeline.trends.rows.alarm_rows import alarm_rows, new_rows, without_past
+from pipeline.trends.alarm_rows import alarm_rows, new_rows, without_past
 from tests.pipeline.trends.nights import night_of
 
 Rows = list[dict[str, Any]]
+Brief = tuple[int, str, str, str | None]
+
+WORN = ("insufficient", "ok", "ok", "warning", "alarm", "alarm", "ok")
+OF_WORN: list[Brief] = [
+    (1, "insufficient", "ok", None),
+    (3, "ok", "warning", None),
+    (4, "warning", "alarm", None),
+    (6, "alarm", "ok", "recovered"),
+]
 
 
-def states(*states: str, first: int = 0, news: Sequence[int] = (), advice: str = "") -> Rows:
-    """States of the leakage in nights in a row, in columns of `nights`."""
-    return [
+def rows_of(
+    *states: str, published: Rows | None = None, first: int = 0, news: Sequence[int] = ()
+) -> Rows:
+    """Rows of states of the leakage in nights in a row; `news` are nights of a detection."""
+    nights = [
         {
             "motor_id": "M1",
             "night": night_of(place),
             "state": state,
             "cause": None,
             "sentence": f"it is {state}",
-            "advice": advice,
+            "advice": f"Look at the {state}." if state == "alarm" else "",
             "detected_on": night_of(place) if place in news else None,
             "still_rising": False,
         }
         for place, state in enumerate(states, start=first)
     ]
+    return alarm_rows({"leakage": nights}, published or [])
 
 
-def rows_of(nights: Rows, published: Sequence[dict[str, Any]] = ()) -> Rows:
-    return alarm_rows({"leakage": nights}, published)
-
-
-def brief(rows: Rows) -> list[tuple[int, str, str, str | None]]:
+def brief(rows: Rows) -> list[Brief]:
     return [
         ((row["night"] - night_of(0)).days, row["from_state"], row["to_state"], row["closed_as"])
         for row in rows
     ]
 
 
-WORN = ("insufficient", "ok", "ok", "warning", "alarm", "alarm", "ok")
-
-
-def test_every_change_has_one_row_that_joins_the_one_before() -> None:
-    rows = rows_of(states(*WORN))
-    assert brief(rows) == [
-        (1, "insufficient", "ok", None),
-        (3, "ok", "warning", None),
-        (4, "warning", "alarm", None),
-        (6, "alarm", "ok", "recovered"),
-    ]
-    assert rows[1]["id"] == f"M1 {night_of(3)} leakage"
-
-
-def test_made_again_they_are_the_same() -> None:
-    rows = rows_of(states(*WORN))
-    assert rows_of(states(*WORN), rows) == rows
-    late = [row for row in rows if row["night"] >= night_of(4)]
-    assert rows_of(states(*WORN[4:], first=4), rows) == late
+@pytest.mark.parametrize(
+    ("before", "states", "news", "expected"),
+    [
+        pytest.param((), WORN, (), OF_WORN, id="each joins the one before"),
+        pytest.param(
+            (),
+            ("ok", "warning", "warning", "warning"),
+            (1, 3),
+            [(1, "ok", "warning", None), (3, "warning", "warning", None)],
+            id="a further change in a state in force",
+        ),
+        pytest.param(
+            ("ok", "warning", "warning"),
+            ("ok", "ok", "warning", "alarm"),
+            (),
+            [(1, "ok", "warning", None), (3, "warning", "alarm", None)],
+            id="raised a night later by better data: not twice",
+        ),
+        pytest.param(
+            WORN,
+            ("insufficient", *["ok"] * 6),
+            (),
+            [*OF_WORN[:3], (5, "alarm", "ok", "recomputed")],
+            id="what late data take back stays, and is closed",
+        ),
+        pytest.param(
+            WORN,
+            ("insufficient", "ok", "ok", "warning", "common_cause"),
+            (),
+            [*OF_WORN[:2], (4, "warning", "common_cause", None)],
+            id="an alarm that comes out otherwise",
+        ),
+    ],
+)
+def test_changes_of_state(
+    before: tuple[str, ...], states: tuple[str, ...], news: tuple[int, ...], expected: list[Brief]
+) -> None:
+    published = rows_of(*before)
+    rows = rows_of(*states, published=published, news=news)
+    assert brief(rows)[-len(expected) :] == expected
+    assert brief(rows_of(*states, published=rows, news=news)) == brief(rows)
+    kept = {row["id"] for row in published if row["to_state"] in ("warning", "alarm")}
+    assert kept <= {row["id"] for row in rows}
 
 
 def test_night_by_night_they_are_those_of_one_run() -> None:
     rows: Rows = []
     for place, state in enumerate(WORN):
-        rows += rows_of(states(state, first=place), rows)
-    assert rows == rows_of(states(*WORN))
+        rows += rows_of(state, first=place, published=rows)
+    assert rows == rows_of(*WORN)
+    assert rows[1]["id"] == f"M1 {night_of(3)} leakage"
 
 
-def test_a_further_change_in_a_state_in_force_has_a_row() -> None:
-    rows = rows_of(states("ok", "warning", "warning", "warning", news=(1, 3)))
-    assert brief(rows)[1:] == [(1, "ok", "warning", None), (3, "warning", "warning", None)]
-
-
-def test_what_late_data_take_back_stays_and_is_closed() -> None:
-    before = rows_of(states(*WORN))
-    after = rows_of(states("insufficient", *["ok"] * 6), before)
-    raised = [row for row in before if row["to_state"] in ("warning", "alarm")]
-    assert all(row in after for row in raised)
-    closing = after[-1]
-    assert brief([closing]) == [(5, "alarm", "ok", "recomputed")]
-    assert closing["sentence"] == (
-        f"recomputed: what was raised on {night_of(4)} is not in the figures as they are now"
-    )
-    assert rows_of(states("insufficient", *["ok"] * 6), after) == after
-
-
-def test_an_alarm_that_comes_out_otherwise_says_what_it_was() -> None:
-    before = rows_of(states(*WORN))
-    after = rows_of(states("insufficient", "ok", "ok", "warning", "common_cause"), before[:3])
-    assert brief(after)[-1] == (4, "warning", "common_cause", None)
-    assert after[-1]["sentence"] == "it is common_cause; before its data changed: it is alarm"
-
-
-def test_what_is_raised_a_night_later_by_better_data_is_not_raised_twice() -> None:
-    before = rows_of(states("ok", "warning", "warning"))
-    after = rows_of(states("ok", "ok", "warning", "alarm"), before)
-    assert brief(after)[1:] == [(1, "ok", "warning", None), (3, "warning", "alarm", None)]
-
-
-def test_a_row_ends_on_what_to_do_once() -> None:
-    before = rows_of(states("ok", "alarm", advice="Look at it."))
-    assert before[0]["sentence"] == "baseline set: it is ok"
-    assert before[1]["sentence"] == "it is alarm. Look at it."
-    after = rows_of(states("ok", "warning", advice="Plan a look."), before)
-    assert after[1]["sentence"] == (
-        "it is warning; before its data changed: it is alarm. Look at it. Plan a look."
-    )
-
-
-def test_a_sensor_has_rows_of_its_own() -> None:
-    sensor = [row | {"cause": "flow_zero"} for row in states("ok", "warning")]
-    rows = alarm_rows({"leakage": states("ok", "ok"), "flow_zero": sensor}, [])
-    assert [(row["id"].split()[-1], row["to_state"]) for row in rows] == [
-        ("leakage", "ok"),
-        ("flow_zero", "ok"),
-        ("flow_zero", "warning"),
+def test_words_of_a_row_end_on_what_to_do_once() -> None:
+    alarm = rows_of("ok", "alarm")
+    assert [row["sentence"] for row in alarm] == [
+        "baseline set: it is ok",
+        "it is alarm. Look at the alarm.",
     ]
+    otherwise = rows_of("ok", "warning", published=alarm)[-1]["sentence"]
+    assert otherwise == "it is warning; before its data changed: it is alarm. Look at the alarm"
+    taken_back = rows_of("ok", "ok", "ok", published=alarm)[-1]["sentence"]
+    assert taken_back.startswith(f"recomputed: what was raised on {night_of(1)} is not in")
 
 
 def row(place: int, before: str, after: str, cause: str | None = None) -> dict[str, Any]:
-    return {
-        "id": f"M1 {night_of(place)} {cause or 'leakage'}",
-        "night": night_of(place),
-        "from_state": before,
-        "to_state": after,
-        "cause": cause,
-        "sentence": "so",
-        "closed_as": None,
-    }
+    key = {"id": f"M1 {night_of(place)} {cause or 'leakage'}", "night": night_of(place)}
+    said = {"from_state": before, "to_state": after, "cause": cause, "sentence": "so"}
+    return key | said | {"closed_as": None}
 
 
-LAST = night_of(20)
+RAISED, CLOSED = row(5, "ok", "warning"), row(8, "warning", "ok")
 
 
 @pytest.mark.parametrize(
     ("rows", "published", "places"),
     [
         pytest.param([row(21, "ok", "warning")], [], [21], id="a new night"),
-        pytest.param([row(5, "ok", "warning")], [], [5], id="a past night that is in force"),
+        pytest.param([RAISED], [], [5], id="a past night that is in force"),
+        pytest.param([RAISED, CLOSED], [], [], id="one that is over"),
+        pytest.param([row(7, "ok", "warning")], [RAISED], [], id="the same, otherwise dated"),
+        pytest.param([RAISED, CLOSED], [RAISED], [8], id="one that is taken back"),
+        pytest.param([RAISED], [RAISED], [], id="nothing new"),
         pytest.param(
-            [row(5, "ok", "warning"), row(9, "warning", "ok")], [], [], id="one that is over"
-        ),
-        pytest.param(
-            [row(7, "ok", "warning")], [row(5, "ok", "warning")], [], id="the same, otherwise dated"
-        ),
-        pytest.param(
-            [row(5, "ok", "warning"), row(8, "warning", "ok")],
-            [row(5, "ok", "warning")],
-            [8],
-            id="one that is taken back",
+            [RAISED, row(6, "ok", "warning", "flow_zero")], [RAISED], [6], id="a sensor's own"
         ),
     ],
 )
 def test_what_of_the_past_is_notified(rows: Rows, published: Rows, places: list[int]) -> None:
     new = new_rows(rows, published)
-    found: list[dt.date] = [one["night"] for one in without_past(rows, new, published, LAST)]
+    found = [row["night"] for row in without_past(rows, new, published, night_of(20))]
     assert found == [night_of(place) for place in places]
-
-
-def test_rows_are_new_where_they_say_something_else() -> None:
-    before = row(5, "ok", "warning")
-    assert new_rows([before], [before]) == []
-    other = before | {"sentence": "in other words"}
-    assert new_rows([other], [before]) == [other]
+    assert new_rows([RAISED | {"sentence": "in other words"}], [RAISED]) != []

@@ -1,72 +1,183 @@
-"""The table `latest`: what `status` prints, and an output without it."""
+"""The table `latest`, an output without it, and the newest night, since which motors are stale."""
 
 from __future__ import annotations
 
 import datetime as dt
+import os
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import pytest
+from polars.testing import assert_frame_equal
 
-from pipeline.schema import LATEST, NIGHTS
+from pipeline.schema import LATEST, NIGHTS, frame
+from pipeline.store.state import read_state_file
 from pipeline.store.tables import whole_file
-from pipeline.trends.nights.decisions import Decision, record_decision
-from pipeline.trends.rows.motor_states import MotorState, latest_rows, published_states
-from tests.pipeline.report.states import LAST, night_row, output, publish, publish_latest
-from tests.pipeline.trends.nights import night_of
+from pipeline.trends.decisions import Decision, record_decision
+from pipeline.trends.motor_states import IntradayStatus, MotorState, published_states, urgency
+from pipeline.trends.tasks import NewestNight, newest_night_of
+from tests.pipeline.trends.nights import (
+    DAY,
+    Nights,
+    copy_of,
+    fleet_of,
+    motor,
+    named,
+    night_of,
+    part_of,
+    publish,
+    published_trends,
+    run,
+    step,
+)
+from tests.pipeline.workshop import Workshop
+from tests.pipeline.written import write_nights
 
-__all__ = ["output"]
-
-
-def test_a_state_comes_back_as_it_was_published(output: Path) -> None:
-    (made,) = latest_rows(output, ["M1"])
-    assert (made["state"], made["cause"], made["state_since"]) == (
-        "alarm",
-        "balance_sleeve",
-        night_of(4),
-    )
-    assert (made["night"], made["data_age_nights"]) == (night_of(LAST), 0)
-    publish_latest(output, [MotorState(made)])
-    (found,) = published_states(output, ["M1"])
-    assert dict(found.row) == {name: made[name] for name in made if name != "run_id"}
-
-
-def test_figures_are_those_of_the_newest_night_with_samples(output: Path) -> None:
-    stale = {
-        "motor_id": "M1",
-        "night": night_of(LAST + 9),
-        "status": "no_new_data",
-        "reason": "no log covers this night",
-        "state": "stale",
-        "sentence": "nothing is known",
-        "advice": "Check whether the motor's logs arrive.",
-    }
-    publish(output, NIGHTS, [night_row("M1", LAST, "alarm"), stale])
-    (row,) = latest_rows(output, ["M1"])
-    assert (row["night"], row["state"], row["status"]) == (
-        night_of(LAST + 9),
-        "stale",
-        "no_new_data",
-    )
-    assert row["own_leakage_l_per_min"] == 2.42
-    assert row["last_fit_night"] == night_of(LAST)
+MOTORS = ("M1", "M2")
+N, AT = 20, 14
+LAST = night_of(N - 1)
+JUNK = b"x\n1\n"
 
 
-def test_what_was_said_since_the_run_counts(output: Path) -> None:
-    publish_latest(output, [MotorState(row) for row in latest_rows(output, ["M1"])])
-    when = dt.datetime(2026, 1, 8, tzinfo=dt.UTC)
-    said = Decision("M1", "leakage", when, "acknowledged", night_of(3), None, "too early")
-    record_decision(output, said)
-    assert published_states(output, ["M1"])[0].row["acknowledged"] is None
-    record_decision(output, replace(said, night=night_of(4), note="rings ordered"))
-    assert published_states(output, ["M1"])[0].row["acknowledged"] == "rings ordered"
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A motor with a broken sleeve, a healthy one, and their trends."""
+    folder = tmp_path_factory.mktemp("watched")
+    worn = Nights(motor(), N, {"balance_sleeve": step(N, AT, 0.9)})
+    config, _ = fleet_of(folder, worn, Nights(named(motor(), "M2"), N))
+    assert run(config).failed == ()
+    return folder
+
+
+@pytest.fixture
+def fleet(watched: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of them: the config and the output."""
+    return copy_of(watched, tmp_path / "fleet")
+
+
+def states(output: Path) -> dict[str, MotorState]:
+    rows = (dict(state.row) | {"run_id": None} for state in published_states(output, MOTORS))
+    return {row["motor_id"]: MotorState(row) for row in rows}
 
 
 @pytest.mark.parametrize("damage", ["absent", "damaged"])
-def test_an_output_without_the_table_is_read_as_the_run_would(output: Path, damage: str) -> None:
-    expected = [MotorState(row) for row in latest_rows(output, ["M1"])]
-    if damage == "damaged":
-        whole_file(output, LATEST).write_bytes(b"junk")
-    else:
-        whole_file(output, LATEST).unlink()
-    assert published_states(output, ["M1"]) == expected
+def test_an_output_without_the_table_is_read_as_the_run_would(
+    fleet: tuple[Path, Path], damage: str
+) -> None:
+    _, output = fleet
+    expected = states(output)
+    assert expected["M1"].row["cause"] == "balance_sleeve"
+    latest = whole_file(output, LATEST)
+    latest.write_bytes(b"junk") if damage == "damaged" else latest.unlink()
+    assert states(output) == expected
+
+
+def test_what_was_said_since_the_run_counts(fleet: tuple[Path, Path]) -> None:
+    _, output = fleet
+    since = states(output)["M1"].row["state_since"]
+    when = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
+    said = Decision("M1", "leakage", when, "acknowledged", since - DAY, None, "too early")
+    record_decision(output, said)
+    assert states(output)["M1"].row["acknowledged"] is None
+    record_decision(output, replace(said, night=since, note="rings ordered"))
+    assert states(output)["M1"].row["acknowledged"] == "rings ordered"
+
+
+def test_a_sudden_rise_comes_first_and_a_clear_one_is_not_shown(watched: Path) -> None:
+    since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
+    rise = IntradayStatus("risen", since, "drain flow +82 % [75, 90]", risen=1)
+    worn, healthy = states(watched / "out").values()
+    broken, quiet = (
+        replace(healthy, intraday=check) for check in (rise, replace(rise, state="clear"))
+    )
+    assert sorted((quiet, worn, broken), key=urgency) == [broken, worn, quiet]
+    assert "risen since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
+    assert "clear" not in quiet.why
+
+
+def test_a_motor_without_logs_is_stale_when_another_goes_on(fleet: tuple[Path, Path]) -> None:
+    """It has the figures of its newest night with samples."""
+    config, output = fleet
+    publish(output, part_of(Nights(named(motor(), "M2"), N + 9).frames(), N, N + 9))
+    before = states(output)["M1"].row
+    run(config)
+    row = states(output)["M1"].row
+    assert (row["night"], row["state"], row["status"]) == (LAST + 9 * DAY, "stale", "no_new_data")
+    assert row["data_age_nights"] == 9
+    for name in ("own_leakage_l_per_min", "last_fit_night"):
+        assert row[name] == before[name]
+    assert states(output)["M2"].state == "ok"
+
+
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [
+        ("x_2099-01-01.parquet", None),
+        ("x.parquet", dt.datetime(2099, 1, 1, tzinfo=dt.UTC)),
+        (f"x_{LAST + 20 * DAY}.parquet", None),
+    ],
+)
+def test_a_junk_file_blinds_nobody(
+    fleet: tuple[Path, Path], name: str, written: dt.datetime | None
+) -> None:
+    config, output = fleet
+    before = published_trends(output, NIGHTS)
+    path = config.parent.parent / "logs" / "M1" / name
+    path.parent.mkdir()
+    path.write_bytes(JUNK)
+    if written is not None:
+        os.utime(path, (written.timestamp(), written.timestamp()))
+    result = run(config)
+    assert [motor.error_code for motor in result.failed] == ["log_not_parquet"]
+    assert result.alarms == ()
+    nights = published_trends(output, NIGHTS)
+    assert_frame_equal(nights.filter(pl.col("status") != "failed"), before)
+    assert set(nights["state"]) == set(before["state"])
+
+
+def test_a_log_of_no_night_is_reported_once_and_stands_in_one_row(workshop: Workshop) -> None:
+    night = night_of(50)
+    workshop.log(night + DAY)
+    (workshop.logs / "x_2099-01-01.parquet").write_bytes(JUNK)
+    outcome = workshop.run()
+    assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
+    again = workshop.run()
+    assert (again.status, again.files["failed"]) == ("no_new_data", 1)
+    # An older log comes: the row goes where the motor begins now.
+    workshop.log(night)
+    assert workshop.run().status == "ok"
+    found = workshop.rows("log_files").filter(status="failed")
+    assert found.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]
+
+
+KEPT = [(0, "M1", "ok", 8.0), (1, "M2", "insufficient_data", 0.5), (2, "M1", "stood_still", 0.0)]
+NONE_KEPT = [(3, "M3", "ok", 8.0), (4, "M2", "failed", None), (5, "M2", "no_new_data", None)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "latest", "expected"),
+    [
+        # Of M3, which is of no fleet any more, nothing counts; of others a motor's own samples do.
+        (KEPT + NONE_KEPT, 9, NewestNight(night_of(1), {"M1": night_of(2), "M2": night_of(1)})),
+        # No night of the future is the newest.
+        ([KEPT[0], (7, "M1", "ok", 8.0)], 6, NewestNight(night_of(0), {"M1": night_of(7)})),
+        (KEPT[:1], -1, None),
+    ],
+)
+def test_the_newest_night_is_that_of_which_samples_are_kept(
+    tmp_path: Path,
+    rows: list[tuple[int, str, str, float | None]],
+    latest: int,
+    expected: NewestNight | None,
+) -> None:
+    """Rows of nights by place, motor, outcome and kept hours."""
+    for place, motor_id, status, hours in rows:
+        night = night_of(place)
+        kept = dt.datetime.combine(night, dt.time(12), dt.UTC) if hours else None
+        row = {"motor_id": motor_id, "night": night, "status": status, "last_sample": kept}
+        write_nights(tmp_path, NIGHTS, frame(NIGHTS, [row]))
+    with read_state_file(tmp_path) as state:
+        found = newest_night_of(state, MOTORS, night_of(latest))
+    assert found == expected
+    assert found is None or found.of("M4") == found.night

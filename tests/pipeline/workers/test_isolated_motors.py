@@ -100,7 +100,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     fleet = own_fleet(GOOD, BAD, OTHER)
 
     def run_or_die(task: TrendTask) -> TrendOutcome:
-        from pipeline.trends.states.course import Course
+        from pipeline.trends.course import Course
 
         step = Course.step
 

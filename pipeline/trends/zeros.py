@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from leakage.course.sensor_zero import zero_course
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
-from pipeline.trends.nights.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
-from pipeline.trends.nights.history import BaselinePeriod, History, periods_of
-from pipeline.trends.nights.published_nights import HALF
-from pipeline.trends.states.course import Course
-from pipeline.trends.states.night_state import NightState
+from pipeline.trends.course import Course
+from pipeline.trends.decisions import FLOW_ZERO, PRESSURE_ZERO, SENSORS
+from pipeline.trends.night_state import NightState
+from pipeline.trends.nights import HALF, BaselinePeriod, PublishedNights
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # A smaller move is no drift where the config states no tolerance: it moves the piston rings' K by
@@ -81,27 +80,27 @@ class Zero:
         return abs(effect) <= verdict.present.upper - verdict.present.value
 
 
-def sensor_zeros(history: History) -> dict[str, Zero]:
+def sensor_zeros(nights: PublishedNights) -> dict[str, Zero]:
     """Return the zeros of a motor's sensors, by indicator."""
-    return {name: _zero(history, name) for name in SENSORS}
+    return {name: _zero(nights, name) for name in SENSORS}
 
 
-def _zero(history: History, name: str) -> Zero:
-    value, upper = (history.records[column].copy() for column in COLUMNS[name])
+def _zero(nights: PublishedNights, name: str) -> Zero:
+    value, upper = (nights.records[column].copy() for column in COLUMNS[name])
     error = (upper - value) / HALF
-    if name == FLOW_ZERO and history.spec.file.flushing.mode == "estimated":
+    if name == FLOW_ZERO and nights.spec.file.flushing.mode == "estimated":
         # What is flushed moves with it: nobody can tell which of the two has changed.
         value[:] = np.nan
-    n = len(history)
+    n = len(nights)
     first, move, low, high = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
-    periods = periods_of(history, name)
+    periods = nights.periods(name)
     for period in periods if np.isfinite(value).any() else ():
         here = slice(period.first, period.end)
         course = zero_course(
             value[here],
             np.nan_to_num(error[here]),
-            tolerance(history.spec, name),
+            tolerance(nights.spec, name),
         )
         first[here], move[here] = course.zero - course.change, course.change
         low[here], high[here] = course.change_lower, course.change_upper

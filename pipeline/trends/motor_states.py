@@ -12,13 +12,11 @@ import polars as pl
 
 from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS, LATEST, NIGHTS
+from pipeline.schema import ALARMS, LATEST, NIGHTS, Row
 from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
 from pipeline.store.tables import read_rows, read_table, whole_file
-from pipeline.trends.nights.decisions import SENSORS, Decision, read_decisions
+from pipeline.trends.decisions import SENSORS, Decision, read_decisions
 from pipeline.trends.sentences import WAIT, change_of, headline, limit_dates
-
-Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
@@ -26,7 +24,6 @@ CHANGED = ("alarm", "warning", "common_cause")
 REMOVED = "removed"
 STALE = "stale"
 ORDER = (*CHANGED, STALE, REMOVED, "insufficient", "ok")
-NEWEST_FITS = ("training_fit_percent", "validation_fit_percent")
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
     "validation_fit_percent": "validation",
@@ -36,6 +33,14 @@ FITS_OF_A_NIGHT = {
 ACTIONABLE = (*CHANGED, STALE, REMOVED)
 # States of the intraday check: a sudden rise, and none.
 RISEN, CLEAR = "risen", "clear"
+
+
+# What is said of a motor, and stays in force in a night of which no trends are made.
+CARRIED = (
+    *(column.name for column in NIGHTS.columns if column.group in ("state", "baseline")),
+    *("sentence", "advice"),
+)
+NO_TRENDS: Row = {"state": "insufficient", "sentence": "no trends yet", "advice": WAIT}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,24 +119,16 @@ class MotorState:
     @property
     def poor_fit(self) -> str:
         """Sentence on the newest fit if it is poor; else empty."""
-        poor = [
-            fit_words(name, self.row[column])
-            for column, name in FITS_OF_A_NIGHT.items()
-            if column in NEWEST_FITS and is_poor(self.row[column])
-        ]
+        newest = {name: self.row[f"{name}_fit_percent"] for name in ("training", "validation")}
+        poor = [fit_words(name, fit) for name, fit in newest.items() if is_poor(fit)]
         return f"fit of {self.row['last_fit_night']}: {', '.join(poor)}" if poor else ""
-
-    @property
-    def limit_dates(self) -> str:
-        """Dates between which a changed motor reaches its limit; empty without any."""
-        return limit_dates(self.row) if self.state in CHANGED else ""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Further notes on the motor, in words."""
-        dates = ""
-        if self.limit_dates:
-            dates = f"alarm level (+{self.row['alarm_level_percent']:g} %) {self.limit_dates}"
+        dates = limit_dates(self.row) if self.state in CHANGED else ""
+        if dates:
+            dates = f"alarm level (+{self.row['alarm_level_percent']:g} %) {dates}"
         log_note = self.row["log_note"]
         log = f"night of {self.row['night']}: {log_note}" if log_note else ""
         return tuple(filter(None, (dates, self.failure, log, self.poor_fit)))
@@ -223,6 +220,12 @@ def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()
         row = with_acknowledgement(row, decisions)
         rows.append(_as_removed(row) if name in gone else row)
     return rows
+
+
+def in_state_before(row: Row, published: pl.DataFrame) -> Row:
+    """A night's own row in the state of its motor, given the rows published so far, in order."""
+    before = published.filter(pl.col("night") <= row["night"]).select(CARRIED)
+    return row | (before.row(-1, named=True) if before.height else NO_TRENDS)
 
 
 def _as_removed(row: Row) -> Row:

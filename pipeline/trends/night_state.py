@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from leakage.watch import Change, Estimate, Machine, Verdict, Watch
+import numpy as np
+
+from leakage.watch import Change, Estimate, Machine, NightBlocks, Verdict, Watch
 from leakage.watch.attribution import LEAST_PROBABILITY, parts_of
 from leakage.watch.causes import (
     ALL_FLOWS,
@@ -23,15 +25,12 @@ from leakage.watch.causes import (
 from leakage.watch.choices import MOSTLY, NAMED
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.nights import SEVERAL
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
+from pipeline.config.settings import Conditions
 from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
-from pipeline.trends.nights.watch_columns import FLUSHING, KNOWN
-
-if TYPE_CHECKING:
-    import datetime as dt
-
-    from pipeline.trends.nights.history import BaselinePeriod
-    from pipeline.trends.states.course import Baseline
+from pipeline.trends.nights import BaselinePeriod
+from pipeline.trends.watch_columns import FLUSHING, KNOWN
 
 # Probability from which a level counts as exceeded.
 SURE = 0.975
@@ -44,6 +43,35 @@ A_PART, ONE_OF = "a_part", " or "
 MAY_BE_WEAR = (A_PART, ALL_GAPS, ALL_FLOWS, SEVERAL)
 # Names that do not come of the shape of a change.
 NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A baseline period: its nights, and what is frozen with it.
+
+    `own` are the motor's own conditions, `coefficients` those of the paths as the watch has them;
+    the leakages are at the motor's own and at the reference conditions, [l/min].
+    """
+
+    start: dt.date
+    end: dt.date
+    n: int
+    own: Conditions
+    coefficients: tuple[float, ...]
+    own_leakage: float | None = None
+    reference_leakage: float | None = None
+
+    @classmethod
+    def of(cls, watch: Watch, nights: Sequence[NightBlocks], charges: Array) -> Baseline:
+        """The baseline of some nights, after which a watch stands, and their charge pressures."""
+        every = np.concatenate([night.conditions for night in nights])
+        temperature, pressure, speed = np.median(every, axis=0).tolist()
+        known = charges[np.isfinite(charges)]
+        charge = float(np.median(known)) if len(known) else None
+        first, last = (dt.date.fromordinal(night.day) for night in (nights[0], nights[-1]))
+        own = Conditions(pressure, temperature, speed, charge)
+        theta = watch.state.baseline.columns.theta
+        return cls(first, last, len(nights), own, tuple(theta.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,23 +136,14 @@ class NightState:
         change = self.change
         if change is None or self.state == "common_cause":
             return change is None
-        wears = {*self.wearing_parts, *MAY_BE_WEAR}
+        parts = frozenset() if self.watch is None else parts_in(self.watch.state.machine)
+        wears = {*parts, *MAY_BE_WEAR}
         share = sum(
             probability
             for label, probability in change.candidates.items()
             if not wears.isdisjoint(label.split(ONE_OF)) or AND in label
         )
         return change.is_rise and (share >= MOSTLY or not change.candidates)
-
-    @property
-    def wearing_parts(self) -> frozenset[str]:
-        """Names of the motor's parts."""
-        return frozenset() if self.watch is None else parts_in(self.watch.state.machine)
-
-    @property
-    def needed(self) -> int:
-        """Nights of a baseline."""
-        return self.spec.settings.trend.baseline_nights
 
 
 def parts_in(machine: Machine) -> frozenset[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,10 +18,9 @@ from leakage.watch.choices import LEAKAGE_BY_LACK, METER_SPREAD, SENSOR_SPREAD
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.trends.nights.checkpoint import MotorCheckpoint, StoredWatch
-from pipeline.trends.nights.history import WATCHED, BaselinePeriod, period_at, periods_of
-from pipeline.trends.nights.published_nights import PublishedNights, read_blocks
-from pipeline.trends.states.night_state import NightState, with_state
+from pipeline.trends.checkpoint import WATCHED, MotorCheckpoint, StoredWatch
+from pipeline.trends.night_state import Baseline, NightState, with_state
+from pipeline.trends.nights import BaselinePeriod, PublishedNights, period_at, read_blocks
 
 # A leakage is estimated at conditions as far beyond those of the baseline period's blocks [°C, bar,
 # rpm].
@@ -32,35 +30,6 @@ OUT_OF_REACH = "the era's blocks do not reach these conditions"
 # Spread of the step of events that carry a baseline across, but for a change of oil.
 SPREADS = {"meter_changed": METER_SPREAD, "sensor_changed": SENSOR_SPREAD}
 NOTHING_SEEN = np.full((2, 3), np.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class Baseline:
-    """A baseline period: its nights, and what is frozen with it.
-
-    `own` are the motor's own conditions, `coefficients` those of the paths as the watch has them;
-    the leakages are at the motor's own and at the reference conditions, [l/min].
-    """
-
-    start: dt.date
-    end: dt.date
-    n: int
-    own: Conditions
-    coefficients: tuple[float, ...]
-    own_leakage: float | None = None
-    reference_leakage: float | None = None
-
-    @classmethod
-    def of(cls, watch: Watch, nights: Sequence[NightBlocks], charges: Array) -> Baseline:
-        """The baseline of some nights, after which a watch stands, and their charge pressures."""
-        every = np.concatenate([night.conditions for night in nights])
-        temperature, pressure, speed = np.median(every, axis=0).tolist()
-        known = charges[np.isfinite(charges)]
-        charge = float(np.median(known)) if len(known) else None
-        first, last = (dt.date.fromordinal(night.day) for night in (nights[0], nights[-1]))
-        own = Conditions(pressure, temperature, speed, charge)
-        theta = watch.state.baseline.columns.theta
-        return cls(first, last, len(nights), own, tuple(theta.tolist()))
 
 
 # To and from a checkpoint.
@@ -93,51 +62,48 @@ class Course:
     @classmethod
     def of(cls, output: Path, nights: PublishedNights) -> Course | None:
         """Return a motor whose watch goes on from its checkpoint, or begins anew; None: neither."""
-        history = nights.history
         if nights.beginning is None:
             return None
-        periods, place = periods_of(history), history.place_from(nights.beginning)
-        figures = np.column_stack([history.records[name] for name in WATCHED])
+        periods, place = nights.periods(), nights.place_from(nights.beginning)
+        figures = np.column_stack([nights.records[name] for name in WATCHED])
         course = cls(output, nights, periods, place, period_at(periods, max(place - 1, 0)), figures)
-        checkpoint = nights.wanted.checkpoint
-        if nights.resumes and checkpoint is not None and checkpoint.watch is not None:
-            newest = dt.date.fromordinal(checkpoint.watch.day)
-            machine = history.watch_columns.machine(history.spec, newest)
-            settings = watch_settings(history.spec)
-            course.watch = Watch.of_arrays(machine, settings, checkpoint.watch.arrays)
-            course.baseline = STORED_BASELINE.validate_python(checkpoint.watch.own["baseline"])
-            course.seen = np.array(checkpoint.watch.own["seen"])
+        stored = nights.checkpoint.watch if nights.resumes and nights.checkpoint else None
+        if stored is not None:
+            machine = nights.watch_columns.machine(nights.spec, dt.date.fromordinal(stored.day))
+            course.watch = Watch.of_arrays(machine, watch_settings(nights.spec), stored.arrays)
+            course.baseline = STORED_BASELINE.validate_python(stored.own["baseline"])
+            course.seen = np.array(stored.own["seen"])
         return course
 
     @property
     def nights_to_come(self) -> tuple[dt.date, ...]:
         """Nights that the watch is to take."""
-        return self.nights.history.nights[self.place :]
+        return self.nights.labels[self.place :]
 
     @property
     def night(self) -> dt.date | None:
         """The night that the watch took last; None before the first."""
-        return self.nights.history.nights[self.place - 1] if self.place else None
+        return self.nights.labels[self.place - 1] if self.place else None
 
     @property
     def spec(self) -> MotorSpec:
         """The motor."""
-        return self.nights.history.spec
+        return self.nights.spec
 
     def step(self) -> None:
-        """Tell the watch the next night."""
-        history = self.nights.history
+        """Give the watch the next night."""
+        nights = self.nights
         self.before = None
         if self.watch is not None and self.baseline is not None:
             self.before = self.period, self.baseline, self.seen, self.watch
         if self.place in (self.period.first, self.period.end):
             self.period = period_at(self.periods, self.place)
             self.watch, self.baseline, self.waiting, self.seen = None, None, [], NOTHING_SEEN
-        night = history.nights[self.place]
-        blocks = self.nights.blocks.get(night.toordinal())
+        night = nights.labels[self.place]
+        blocks = nights.blocks.get(night.toordinal())
         if blocks is not None:
             if self.watch is not None and (spread := self._spread(self.watch, night)):
-                machine = history.watch_columns.machine(history.spec, night)
+                machine = nights.watch_columns.machine(self.spec, night)
                 self.watch = self.watch.across_event(machine, blocks.day, spread)
             self._take(blocks)
         self.place += 1
@@ -157,19 +123,19 @@ class Course:
         return math.hypot(*spreads)
 
     def _take(self, blocks: NightBlocks) -> None:
-        history = self.nights.history
+        nights = self.nights
         ends = np.min(blocks.conditions, axis=0), np.max(blocks.conditions, axis=0)
         self.seen = np.stack([np.fmin(self.seen[0], ends[0]), np.fmax(self.seen[1], ends[1])])
         if self.watch is not None:
             self.watch = self.watch.after(blocks, partial(self._since, blocks.day))
             return
         self.waiting.append(blocks)
-        settings = watch_settings(history.spec)
+        settings = watch_settings(self.spec)
         if len(self.waiting) < settings.baseline_nights:
             return
-        machine = history.watch_columns.machine(history.spec, history.nights[self.period.first])
+        machine = nights.watch_columns.machine(self.spec, nights.labels[self.period.first])
         self.watch = Watch.begin(machine, self.waiting, settings)
-        charges = history.records["charge"][self.period.first : self.place + 1]
+        charges = nights.records["charge"][self.period.first : self.place + 1]
         self.baseline = Baseline.of(self.watch, self.waiting, charges)
         self.baseline = replace(
             self.baseline,
@@ -185,30 +151,25 @@ class Course:
 
     def _since(self, until: int, day: int) -> list[NightBlocks]:
         """Return blocks of the nights from a day to another one, as the watch asks for them."""
-        history, known = self.nights.history, self.nights.blocks
-        begin = self.nights.blocks_from.toordinal()
+        nights, known = self.nights, self.nights.blocks
+        begin = (nights.beginning or dt.date.max).toordinal()
         earlier = [
             night
-            for night, n in zip(history.nights, history.records["blocks"].tolist(), strict=True)
+            for night, n in zip(nights.labels, nights.records["blocks"].tolist(), strict=True)
             if n and day <= night.toordinal() < begin
         ]
         blocks = (
-            read_blocks(self.output, self.spec, history.watch_columns, earlier) if earlier else []
+            read_blocks(self.output, self.spec, nights.watch_columns, earlier) if earlier else []
         )
         later = (ordinal for ordinal in sorted(known) if max(day, begin) <= ordinal <= until)
         return blocks + [known[ordinal] for ordinal in later]
 
-    def know_circuit(self, others: Sequence[Watch]) -> None:
-        """Tell the watch what the other motors of the circuit did since its own change."""
-        if self.watch is not None:
-            self.watch = self.watch.beside(others)
-
     def state(self) -> NightState:
         """Return the state in the newest night; its leakages are noted."""
-        history, place = self.nights.history, self.place - 1
-        label, n_blocks = history.nights[place], int(history.records["blocks"][place])
-        counted = np.flatnonzero(history.records["blocks"][: place + 1])
-        last = int(history.numbers[counted[-1]]) if len(counted) else -1
+        nights, place = self.nights, self.place - 1
+        label, n_blocks = nights.labels[place], int(nights.records["blocks"][place])
+        counted = np.flatnonzero(nights.records["blocks"][: place + 1])
+        last = int(nights.numbers[counted[-1]]) if len(counted) else -1
         night = NightState(
             self.spec,
             place,
@@ -216,9 +177,9 @@ class Course:
             self.period,
             n_blocks,
             n_waiting=len(self.waiting),
-            silent=int(history.numbers[place]) - last,
-            why_no_blocks="" if n_blocks else self.nights.why_no_blocks(label),
-            fitted=self.nights.fitted_leakage(label),
+            silent=int(nights.numbers[place]) - last,
+            why_no_blocks="" if n_blocks else nights.why_no_blocks(label),
+            fitted=nights.fitted_leakage(label),
         )
         if self.watch is None or self.baseline is None:
             return with_state(night)
@@ -250,7 +211,7 @@ class Course:
         By the oil of the night, which the change is no part of.
         """
         assert self.watch is not None
-        first = self.nights.history.place_from(baseline.end)
+        first = self.nights.place_from(baseline.end)
         now, then = self.drives_at(baseline.own, place), self.drives_at(baseline.own, first)
         if isinstance(now, str) or isinstance(then, str) or baseline.own_leakage is None:
             return now if isinstance(now, str) else OUT_OF_REACH
@@ -274,27 +235,26 @@ class Course:
 
     def drives_at(self, at: Conditions, place: int) -> Array | str:
         """Flow a unit of each coefficient in a night; what else shapes it is the same for all."""
-        history = self.nights.history
-        night = history.nights[place]
-        key = history.spec.file.oil_on(night), at
+        night = self.nights.labels[place]
+        key = self.spec.file.oil_on(night), at
         if key not in self.drives:
-            self.drives[key] = history.watch_columns.drives_at(history.spec, night, at)
+            self.drives[key] = self.nights.watch_columns.drives_at(self.spec, night, at)
         return self.drives[key]
 
     def checkpoint(self, key: str) -> MotorCheckpoint:
         """Return what the next run needs: the watch before the newest night, which it may redo."""
-        nights, watch = self.nights.history.nights, None
+        labels, watch = self.nights.labels, None
         if self.before is not None:
             period, baseline, seen, before = self.before
             own = {
                 "baseline": STORED_BASELINE.dump_python(baseline, mode="json"),
                 "seen": seen.tolist(),
             }
-            watch = StoredWatch(nights[period.first], own, before.day, before.arrays())
-        records = self.nights.history.records[: self.place].copy()
+            watch = StoredWatch(labels[period.first], own, before.day, before.arrays())
+        records = self.nights.records[: self.place].copy()
         for column, name in enumerate(WATCHED):
             records[name] = self.figures[: self.place, column]
-        return MotorCheckpoint(key, nights[self.place - 1], records, watch)
+        return MotorCheckpoint(key, labels[self.place - 1], records, watch)
 
 
 def _measured(at: Conditions) -> Array:

@@ -14,15 +14,14 @@ from leakage.course.trend import fit_slope, time_to_limit
 from leakage.estimation.identifiability import WITH_VALUE
 from pipeline.arrays import Array
 from pipeline.night.time_base import VISCOSITIES
-from pipeline.trends.nights.history import NIGHTS_BEFORE, WATCHED, History
-from pipeline.trends.nights.published_nights import HALF
-from pipeline.trends.nights.watch_columns import LOSS_FACTOR
+from pipeline.schema import Row
+from pipeline.trends.checkpoint import WATCHED
+from pipeline.trends.course import Course
+from pipeline.trends.night_state import NightState
+from pipeline.trends.nights import HALF, NIGHTS_BEFORE, PublishedNights
 from pipeline.trends.sentences import day
-from pipeline.trends.states.course import Course
-from pipeline.trends.states.night_state import NightState
-from pipeline.trends.states.zeros import Zero
-
-Row = dict[str, Any]
+from pipeline.trends.watch_columns import LOSS_FACTOR
+from pipeline.trends.zeros import Zero
 
 DAYS_A_YEAR = 365.25
 REFERENCE = "reference_leakage"
@@ -92,12 +91,12 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
     Where a change is in force, of the nights since it began: a line across a step, or across
     nights before a wear began, is none. Without one, since the baseline began.
     """
-    history, first, end = course.nights.history, night.period.first, night.place + 1
+    nights, first, end = course.nights, night.period.first, night.place + 1
     if night.change is not None:
-        first = max(first, history.place_from(dt.date.fromordinal(night.change.since)))
+        first = max(first, nights.place_from(dt.date.fromordinal(night.change.since)))
     here = slice(first, end)
-    numbers, series = history.numbers[here], course.figures[here, WATCHED.index(name)]
-    hours = history.running_hours(end)[first:]
+    numbers, series = nights.numbers[here], course.figures[here, WATCHED.index(name)]
+    hours = nights.running_hours(end)[first:]
     line = fit_slope(numbers, series, numbers / DAYS_A_YEAR)
     by_hours = fit_slope(numbers, series, hours / 1000.0)
     row: Row = {"n_nights": line.n, "is_provisional": line.is_provisional}
@@ -138,25 +137,22 @@ def _days(
 
 def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
     """Yield coefficients of the night's own fit: as such, as leakages, and as changes of gaps."""
-    history, place = course.nights.history, night.place
+    columns = course.nights.watch_columns
     figures = course.nights.parameters.get(night.night, {})
-    drives = course.drives_at(course.reference, place)
-    for number, name in enumerate([*history.watch_columns.coefficients, "C_f"]):
-        if name not in figures or (name == "C_f" and not history.watch_columns.is_flushed):
+    drives = course.drives_at(course.reference, night.place)
+    for number, name in enumerate([*columns.coefficients, "C_f"]):
+        if name not in figures or (name == "C_f" and not columns.is_flushed):
             continue
         # With its interval where it is identified; otherwise why it is not.
         figure, verdict = figures[name], figures[name]["verdict"] or ""
-        why = (
-            ""
-            if verdict in WITH_VALUE
-            else figure["reason"] or verdict.replace("_", " ") or NO_FIGURE
-        )
-        row: Row = {} if why else {end: figure[end] for end in ("value", "lower", "upper")}
-        row |= {"reason": why or None}
-        yield row | {"indicator": name, "unit": _unit(name)}
+        row: Row = {"reason": figure["reason"] or verdict.replace("_", " ") or NO_FIGURE}
+        if verdict in WITH_VALUE:
+            row = {end: figure[end] for end in ("value", "lower", "upper")}
+        unit = "l/min" if name == "C_f" else "m3" if name.startswith(LOSS_FACTOR) else "1"
+        yield row | {"indicator": name, "unit": unit}
         if name == "C_f":
             continue
-        path = history.watch_columns.paths[number]
+        path = columns.paths[number]
         if not isinstance(drives, str):
             shown = _scaled(row, lambda value, by=float(drives[number]): by * value)
             yield row | shown | {"indicator": f"leakage_{path}", "unit": "l/min"}
@@ -168,23 +164,20 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
                 yield row | gap | {"indicator": f"gap_change_{path}", "unit": "%"}
 
 
-def _unit(name: str) -> str:
-    return "l/min" if name == "C_f" else "m3" if name.startswith(LOSS_FACTOR) else "1"
-
-
 def _scaled(row: Row, change: Any) -> Row:
+    """Return the value of a row and its ends as something that follows from them."""
     ends = (end for end in ("value", "lower", "upper") if row.get(end) is not None)
     return {end: change(row[end]) for end in ends}
 
 
 def _of_blocks(course: Course, place: int) -> Iterator[Row]:
     """Yield mean case drain flow, and the oil as measured."""
-    history = course.nights.history
-    blocks = course.nights.blocks.get(history.nights[place].toordinal())
+    nights = course.nights
+    blocks = nights.blocks.get(nights.labels[place].toordinal())
     if blocks is not None:
-        flow = float(np.mean(blocks.flow)) + history.watch_columns.fixed_flushing
+        flow = float(np.mean(blocks.flow)) + nights.watch_columns.fixed_flushing
         yield {"indicator": "drain_flow", "unit": "l/min", "value": flow}
-    if (ratio := viscosity_ratio(history, place)) is not None:
+    if (ratio := viscosity_ratio(nights, place)) is not None:
         yield {"indicator": "oil_viscosity", "unit": "%", "value": 100.0 * (ratio - 1.0)}
 
 
@@ -205,25 +198,25 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def oil_as_measured(history: History, place: int) -> str:
+def oil_as_measured(nights: PublishedNights, place: int) -> str:
     """Return measured viscosity of a night's oil in words, and its water; empty if not measured."""
-    ratio, night = viscosity_ratio(history, place), history.nights[place]
+    ratio, night = viscosity_ratio(nights, place), nights.labels[place]
     if ratio is None:
         return ""
     percent = 100.0 * (ratio - 1.0)
     size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
     words = "as its data sheet" if abs(percent) < 0.5 else size
-    samples = [sample for sample in history.spec.samples_of(night) if sample.date <= night]
+    samples = [sample for sample in nights.spec.samples_of(night) if sample.date <= night]
     measured = [sample.date for sample in samples if sample.viscosity_40_c_mm2_per_s is not None]
     water = [sample.water_mg_per_kg for sample in samples if sample.water_mg_per_kg is not None]
-    by_log = any(name in history.spec.file.channels for name in VISCOSITIES)
+    by_log = any(name in nights.spec.file.channels for name in VISCOSITIES)
     source = "by the log" if by_log or not measured else f"on {day(measured[-1])}"
     wet = f", water {water[-1]:g} mg/kg" if water else ""
     return f"oil as measured {source}: {words}{wet}"
 
 
-def viscosity_ratio(history: History, place: int) -> float | None:
+def viscosity_ratio(nights: PublishedNights, place: int) -> float | None:
     """Return measured viscosity over the data sheet's, of the last night that has it."""
-    ratios = history.records["viscosity"][: place + 1]
+    ratios = nights.records["viscosity"][: place + 1]
     known = ratios[np.isfinite(ratios)]
     return float(known[-1]) if len(known) else None

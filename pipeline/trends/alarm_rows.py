@@ -7,11 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
-from pipeline.schema import ALARM_CONTENT
-from pipeline.trends.nights.decisions import LEAKAGE, SENSORS
-from pipeline.trends.rows.motor_states import ACTIONABLE, CHANGED
-
-Row = dict[str, Any]
+from pipeline.schema import ALARM_CONTENT, Row
+from pipeline.trends.decisions import LEAKAGE, SENSORS
+from pipeline.trends.motor_states import ACTIONABLE, CHANGED
 
 RECOMPUTED, RECOVERED, INSUFFICIENT = "recomputed", "recovered", "insufficient"
 RAISED = ("warning", "alarm")

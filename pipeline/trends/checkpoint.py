@@ -1,4 +1,4 @@
-"""A motor's checkpoint for the next run: records of its nights, and the state of its watch.
+"""A motor's checkpoint for the next run: a record of each of its nights, and its watch's state.
 
 It only saves work: without it the watch begins with the baseline period's first night, by the
 stored blocks, and the same trends come out.
@@ -21,12 +21,45 @@ from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of, own_version
-from pipeline.trends.nights.decisions import Decision
-from pipeline.trends.nights.history import RECORD, Records
-from pipeline.trends.nights.trend_record import trend_hash
+from pipeline.trends.decisions import Decision
+from pipeline.trends.tasks import trend_hash
 
 # Raise it when a watch is stored as other arrays.
 CHECKPOINT_VERSION = 5
+# A structured array, one record a night.
+Records = NDArray[Any]
+
+# Columns of `nights`.
+OPERATED = (
+    *("logged_hours", "running_hours"),
+    *("pressure_zero_bar", "pressure_zero_upper"),
+    *("flow_zero_l_per_min", "flow_zero_upper"),
+)
+# Charge above case pressure [bar], and measured viscosity over the data sheet's, of its blocks.
+OF_BLOCKS = ("charge", "viscosity")
+# What the watch said of a night: leakage at the reference and at the motor's own conditions
+# [l/min].
+WATCHED = ("reference_leakage", "own_leakage")
+RECORD = np.dtype(
+    [
+        ("night", "M8[D]"),
+        # Whether there is a row of it.
+        ("known", "?"),
+        ("model", "S16"),
+        # Blocks that the watch counts.
+        ("blocks", "i4"),
+        *((name, "f8") for name in (*OF_BLOCKS, *OPERATED, *WATCHED)),
+    ]
+)
+
+
+def blank_records(nights: Sequence[dt.date]) -> Records:
+    """Return records of nights of which nothing is known."""
+    records = np.zeros(len(nights), dtype=RECORD)
+    for name in (*OF_BLOCKS, *OPERATED, *WATCHED):
+        records[name] = np.nan
+    records["night"] = np.array(nights, dtype="M8[D]")
+    return records
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,0 @@
-"""Rows of the trend tables, and a motor's state in one row."""

@@ -1,1 +1,0 @@
-"""What the watch says of a motor night by night, the zeros of its sensors, and its state."""
