@@ -19,8 +19,8 @@ from pipeline.config import MotorSpec, load_fleet
 from pipeline.demo import shipped_configs
 from pipeline.demo.fleet import PISTON, RING, SLEEVE, DemoMotor, DemoNight, Plan, truth_document
 from pipeline.demo.fleet import Wear as DemoWear
-from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import Recording, record_night
+from pipeline.demo.writing import write_log
 from tests.scenarios import published
 from tests.scenarios.command import Result, examined, run_command
 

@@ -1,35 +1,27 @@
-"""The demo's truth, physics and faults."""
+"""The demo's truth, physics, noise and faults."""
 
 from __future__ import annotations
 
-import json
+import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.demo.fleet import (
-    DEMO_FLEET,
     DemoNight,
     coefficients_of,
     reference_leakage,
-    truth_document,
 )
-from pipeline.demo.recording import record_night, simulate_operation
+from pipeline.demo.recording import (
+    autoregression,
+    correlated_noise,
+    phi_of,
+    record_night,
+    simulate_operation,
+)
 from tests.pipeline.demo.conftest import MOTORS, PLAN, night_of
-
-
-@pytest.fixture(scope="module")
-def truth(specs: dict[str, MotorSpec]) -> dict[str, Any]:
-    nights = [
-        DemoNight(demo, specs[demo.motor_id], PLAN, number)
-        for demo in DEMO_FLEET
-        for number in range(1, PLAN.nights + 1)
-    ]
-    motors: dict[str, Any] = json.loads(json.dumps(truth_document(PLAN, nights)))["motors"]
-    return motors
 
 
 def test_reference_leakage_of_an_unworn_motor_as_built_is_the_published_one(
@@ -80,3 +72,23 @@ def test_a_sensor_freezes_on_one_night_alone(specs: dict[str, MotorSpec]) -> Non
 
     assert longest_standstill(12) > 5 * 120
     assert longest_standstill(11) < 5 * 360  # a halt and no more
+
+
+SERIES = 20_000
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.95, 0.999])
+def test_autoregression_has_variance_one_from_the_start_and_forgets_by_phi_a_step(
+    phi: float,
+) -> None:
+    noise = autoregression(np.random.default_rng(1).standard_normal((41, SERIES)), phi)
+    covariance = noise @ noise.T / SERIES
+    lags = np.abs(np.subtract.outer(np.arange(41), np.arange(41)))
+    # Standard error of a covariance of unit normals: at most √(2 / SERIES).
+    assert covariance == pytest.approx(phi**lags, abs=5 * math.sqrt(2 / SERIES))
+    assert phi_of(0.1, -0.1 / math.log(0.95)) == pytest.approx(0.95)
+
+
+def test_correlated_noise_falls_to_1_over_e_in_its_time_constant() -> None:
+    noise = correlated_noise(np.random.default_rng(3), 400_000, 0.5, 5.0)
+    assert np.mean(noise[10:] * noise[:-10]) == pytest.approx(1 / math.e, abs=0.03)

@@ -12,9 +12,8 @@ import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.demo.fleet import DemoNight
-from pipeline.demo.log_writers import write_log
 from pipeline.demo.recording import record_night
-from pipeline.demo.writing import write_demo
+from pipeline.demo.writing import write_demo, write_log
 from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from tests.pipeline.calling import contents, refused
@@ -43,13 +42,6 @@ def test_reader_gets_back_what_was_recorded(
 
 def small_demo(folder: Path, **arguments: Any) -> None:
     write_demo(folder, **({"nights": 2, "minutes": 10.0, "workers": 1} | arguments))
-
-
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("made") / "demo"
-    small_demo(folder)
-    return folder
 
 
 def test_a_demo_is_replaced_and_other_files_in_it_are_not(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from pipeline.errors import UsageError
 from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import fit_night
 from pipeline.notebook import open_tables, prepare, prepare_log
-from pipeline.schema import Row
+from pipeline.schema import ALARMS, FITS, Row, frame
 from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
@@ -28,6 +29,7 @@ from tests.pipeline.simulated import (
     raw,
     write_log,
 )
+from tests.pipeline.written import write_nights
 
 FRAME_NAMES = {
     "pressure_difference": "pressure_bar",
@@ -133,3 +135,23 @@ def test_disorder_is_cleaned_and_an_empty_channel_is_told(spec: MotorSpec) -> No
     assert short.notes == (f"night of {NIGHT}: fewer than two samples in this night",)
     with pytest.raises(UsageError, match="can be used: night of 2026-03-02: fewer than two"):
         short.fit(spec.motor(NIGHT, "none"))
+
+
+def test_tables_hold_all_nights_and_fits_the_primary_ones(tmp_path: Path) -> None:
+    nights = [dt.date(2026, 1, 31), dt.date(2026, 2, 1)]  # in two months, so in two files
+    rows = [
+        {"motor_id": "M1", "night": night, "flushing_mode": mode, "is_primary": mode == "none"}
+        for night in nights
+        for mode in ("none", "fixed")
+    ]
+    write_nights(tmp_path, FITS, frame(FITS, rows))
+    tables = open_tables(tmp_path)
+    assert tables.table("fits").collect().height == 4
+    found = tables.fits().collect()
+    assert (found["night"].to_list(), found["is_primary"].all()) == (nights, True)
+    # What has no files is empty, with its columns.
+    assert tables.table("alarms").collect().schema == pl.Schema(ALARMS.schema)
+    with pytest.raises(UsageError, match="no table fit; there are nights"):
+        tables.table("fit")
+    with pytest.raises(UsageError, match="run fit-fleet first"):
+        open_tables(tmp_path / "nowhere")
