@@ -7,6 +7,7 @@ import doctest
 import re
 import shutil
 import subprocess
+import tokenize
 import tomllib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
@@ -80,6 +81,19 @@ def test_what_people_read_is_in_the_words_of_the_trade() -> None:
     seen = list(texts_for_people())
     assert len(seen) > 5000
     assert [(place, found[0]) for place, text in seen if (found := OLD_WORDS.search(text))] == []
+
+
+def test_names_say_what_they_stand_for() -> None:
+    """No name of the code is `one` or `told`."""
+    places = []
+    for path in SOURCES:
+        with path.open("rb") as file:
+            places += [
+                f"{path.relative_to(ROOT)}:{token.start[0]}"
+                for token in tokenize.tokenize(file.readline)
+                if token.type == tokenize.NAME and token.string in ("one", "told")
+            ]
+    assert places == []
 
 
 def blocks(text: str, language: str) -> list[str]:

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import base64
-import email.policy
 import hashlib
 import hmac
 import json
 import re
-import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
-from email.message import EmailMessage
 from pathlib import Path
-from typing import Any
 
 import pytest
-from aiosmtpd.controller import Controller
 
 from tests.pipeline.notification.servers import Hook, hook
+from tests.pipeline.notification.test_mail import serving
 from tests.scenarios.command import ROOT, run_line
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet
@@ -32,27 +26,6 @@ METRICS = (
     *("own_leakage_l_per_min", "own_leakage_lower", "own_leakage_upper"),
     *("evidence", "evidence_limit", "model_error_percent"),
 )
-
-
-class Mails(list[EmailMessage]):
-    """Messages that a mail server on loopback took."""
-
-    async def handle_DATA(self, _: Any, __: Any, envelope: Any) -> str:  # noqa: N802 - aiosmtpd's
-        self.append(email.message_from_bytes(envelope.content, policy=email.policy.default))
-        return "250 OK"
-
-
-@contextmanager
-def mail_server() -> Iterator[tuple[Mails, int]]:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    mails = Mails()
-    controller = Controller(mails, hostname="127.0.0.1", port=port)
-    controller.start()
-    try:
-        yield mails, port
-    finally:
-        controller.stop()
 
 
 def receivers(folder: Path, web: Hook, mail_port: int) -> str:
@@ -80,10 +53,10 @@ def raise_alarms(plant: ScenarioFleet, level: float, before: float | None = None
 
 def test_receivers_get_the_rows_of_alarms_once(plant: ScenarioFleet) -> None:
     secret = base64.b64encode(SECRET).decode()
-    with hook() as web, mail_server() as (mails, port):
-        plant.append("fleet.toml", receivers(plant.folder, web, port))
+    with hook() as web, serving() as server:
+        plant.append("fleet.toml", receivers(plant.folder, web, server.port))
         assert plant.run("fit-fleet", HOOK_SECRET=secret).code == 0
-        assert (web.posts, list(mails)) == ([], [])  # new receivers get what is new
+        assert (web.posts, server.mails) == ([], [])  # new receivers get what is new
         raise_alarms(plant, 15.0)
         web.answers[HOOK] = (503, "")
         said = [plant.run("fit-fleet", HOOK_SECRET=secret)]
@@ -115,7 +88,7 @@ def test_receivers_get_the_rows_of_alarms_once(plant: ScenarioFleet) -> None:
     head = f"{taken.headers['webhook-id']}.{taken.headers['webhook-timestamp']}."
     digest = hmac.new(SECRET, head.encode() + taken.body, hashlib.sha256).digest()
     assert taken.headers["webhook-signature"] == f"v1,{base64.b64encode(digest).decode()}"
-    (mail,) = mails
+    (mail,) = server.mails
     assert mail["To"] == "shift@plant.example"
     assert "broken alarm" in mail["Subject"]
     text = mail.get_content()
