@@ -62,6 +62,13 @@ def test_channel_of_few_samples(n: int) -> None:
     assert refused_by(constant) == {}
 
 
+@pytest.mark.parametrize(("periods", "n_gaps"), [(5, 0), (6, 1)])
+def test_a_silence_of_more_than_five_periods_is_a_gap(periods: int, n_gaps: int) -> None:
+    rows = np.r_[:10, 9 + periods : 20 + periods]
+    cleaned = clean_channel(raw(stamps(40)[rows], lively(len(rows))), RULES)
+    assert len(cleaned.gaps) == n_gaps
+
+
 @pytest.mark.parametrize(
     ("time_us", "period_us"),
     # Of 1, 2, 3, 4 none is of most; two of four are not most.

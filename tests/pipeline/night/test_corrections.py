@@ -24,7 +24,14 @@ from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit
 from pipeline.night.transport_delay import delay_inputs, delay_on_grid_s, shifted
 from pipeline.schema import BLOCKS, frame
-from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted, refused_of
+from tests.pipeline.night.noise_free import (
+    configured_flow,
+    fit,
+    fit_of,
+    fitted,
+    refused_of,
+    values_of,
+)
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_file
 
 Array = NDArray[np.float64]
@@ -126,11 +133,11 @@ def readings(spec: MotorSpec, name: str) -> Array:
     return value
 
 
-def night(spec: MotorSpec, **more: Array) -> NightOutcome:
+def night(spec: MotorSpec, flushing: float = 0.0, **more: Array) -> NightOutcome:
     """A night of a motor whose oil is thin."""
     motor = spec.motor(NIGHT, "none")
     oil = replace(motor.oil, walther_a=THIN[0], walther_b=THIN[1])
-    flow = OPERATION.flow(replace(motor, oil=oil))
+    flow = OPERATION.flow(replace(motor, oil=oil)) + flushing
     return fit(spec, OPERATION, OPERATION.channels(flow) | more)
 
 
@@ -156,6 +163,13 @@ def test_with_an_analysis_the_loss_factors_are_the_true_ones_however_late(spec: 
     anew = refit(with_sample(spec), PublishedNight(NIGHT, before.rows, blocks))
     for column in ("coefficients", "cost", "training_fit_percent"):
         assert anew.rows["fits"][0][column] == pytest.approx(row[column], rel=1e-9, abs=1e-12)
+
+
+def test_an_oil_thinner_than_its_data_sheet_leaves_the_flushing_as_it_is(spec: MotorSpec) -> None:
+    estimated = spec.file.flushing.model_copy(update={"mode": "estimated"})
+    spec = with_file(with_sample(spec), flushing=estimated)
+    flushed = night(spec, flushing=0.5)
+    assert values_of(flushed.rows, "estimated")["C_f"] == pytest.approx(0.5, abs=0.01)
 
 
 CREDIBLE, OTHER = "is credible in only {} % of the kept samples", "another unit, oil or place"

@@ -97,6 +97,14 @@ def test_the_grid_counts_from_the_night_s_start(begin_us: int, first: int, last:
     assert samples.index.tolist() == [*range(first, last + 1)]
 
 
+def test_what_is_refused_within_a_session_is_a_loss() -> None:
+    """No sample stands on a point of the grid: 30 ms beside it."""
+    channels = running(60, START + 30_000)
+    channels["leakage_flow"].refused[100:150] = True
+    samples, _ = together(channels)
+    assert (samples.n_running, len(samples.index)) == (600, 600 - 51)
+
+
 @pytest.mark.parametrize("rate_hz", [10, 100])
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_a_log_that_touches_the_night_with_a_few_samples(rate_hz: int, n: int) -> None:
