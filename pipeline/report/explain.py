@@ -38,10 +38,11 @@ EXPLAINED = (
 # A rule that refused less than this is not worth a line.
 LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
-# A motor that rested so long starts cold, and is warm after as long; errors of the time between
-# differ from later ones by this share of the flow, and by their scatter over pieces.
+# A motor that rested so long starts cold, and is warm after as long: the first of these after which
+# there are pieces enough. Errors of the time between differ from later ones by this share of the
+# flow, and by their scatter over pieces.
 MINUTE = dt.timedelta(minutes=1)
-REST, PIECE = 30 * MINUTE, 10 * MINUTE
+WARM_UPS, PIECE = (30 * MINUTE, 20 * MINUTE, 10 * MINUTE), 10 * MINUTE
 COLD_SHARE, COLD_SCATTERS, FEWEST_PIECES = 0.03, 3.0, 3
 
 
@@ -96,7 +97,7 @@ def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
         ("Paths", list(_verdicts(parameters))),
         ("Systematic errors", list(_budget(fit, effects))),
         ("Fit", list(_fit(own, fit, fits))),
-        ("Errors of the fit", [*explain_residuals(fit, tests), *_warm_up(predictions)]),
+        ("Errors of the fit", [*explain_residuals(fit, tests), *explain_warm_up(predictions)]),
         ("Data", [samples, *data]),
     ]
     return [part for part in parts if part[1]]
@@ -269,29 +270,38 @@ def explain_residuals(fit: Row, tests: list[Row]) -> Iterator[str]:
             yield f"{part} errors: {_tests(rows)}"
 
 
-def _warm_up(predictions: list[Row]) -> Iterator[str]:
+def explain_warm_up(predictions: list[Row]) -> Iterator[str]:
     """Yield that errors go with the time since the motor's last cold start, where they do."""
-    cold: list[float] = []
-    warm: dict[tuple[dt.datetime, int], list[float]] = {}
-    last = start = dt.datetime.min.replace(tzinfo=dt.UTC)
-    for row in sorted(predictions, key=lambda row: row["time"]):
-        if row["time"] - last >= REST:
-            start = row["time"]
-        last = row["time"]
-        error = row["measured_l_per_min"] - row["predicted_l_per_min"]
-        piece = start, (last - start) // PIECE
-        (cold if last - start < REST else warm.setdefault(piece, [])).append(error)
-    means = [mean(errors) for errors in warm.values()]
-    if not cold or len(means) < FEWEST_PIECES:
+    rows = sorted(predictions, key=lambda row: row["time"])
+    for length in WARM_UPS:
+        cold, means = _cold_and_warm(rows, length)
+        if cold and len(means) >= FEWEST_PIECES:
+            break
+    else:
         return
-    flow = mean(row["measured_l_per_min"] for row in predictions)
+    flow = mean(row["measured_l_per_min"] for row in rows)
     apart = mean(cold) - mean(means)
     if abs(apart) > max(COLD_SHARE * flow, COLD_SCATTERS * stdev(means)):
         yield (
             f"errors go with the time since the start: {100 * apart / flow:+.0f} % of the flow in "
-            f"the first {REST // MINUTE} minutes against later; cleaning.warm_up_minutes leaves "
+            f"the first {length // MINUTE} minutes against later; cleaning.warm_up_minutes leaves "
             "out the minutes in which the oil in the case is not yet the oil at the sensor"
         )
+
+
+def _cold_and_warm(rows: list[Row], length: dt.timedelta) -> tuple[list[float], list[float]]:
+    """Return errors within a time of starts from a rest as long, and means of later pieces."""
+    cold: list[float] = []
+    warm: dict[tuple[dt.datetime, int], list[float]] = {}
+    last = start = dt.datetime.min.replace(tzinfo=dt.UTC)
+    for row in rows:
+        if row["time"] - last >= length:
+            start = row["time"]
+        last = row["time"]
+        error = row["measured_l_per_min"] - row["predicted_l_per_min"]
+        piece = start, (last - start) // PIECE
+        (cold if last - start < length else warm.setdefault(piece, [])).append(error)
+    return cold, [mean(errors) for errors in warm.values()]
 
 
 def _size(fit: Row, part: str) -> str:

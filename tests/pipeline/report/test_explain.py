@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
+import re
 from pathlib import Path
 
+import pytest
+
 from pipeline.config import load_fleet
-from pipeline.report.explain import explain
+from pipeline.report.explain import explain, explain_warm_up
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table, rows_with
@@ -32,3 +36,24 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
     assert told[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
     assert "\n".join(told).count("does not begin as Parquet does") == 1
+
+
+@pytest.mark.parametrize(
+    ("sessions", "minutes", "missing", "cold"),
+    [(1, 90, 0.5, 30), (4, 25, 0.5, 20), (4, 15, 0.5, 10), (4, 25, 0.0, None), (1, 25, 0.5, None)],
+)
+def test_a_warm_up_is_seen_however_short_sessions_are(
+    sessions: int, minutes: int, missing: float, cold: int | None
+) -> None:
+    """Of 5 l/min a share is missing at each start, and e times less every 12 minutes."""
+    rows = []
+    for start in range(0, sessions * (minutes + 40), minutes + 40):
+        for minute in range(minutes):
+            time = dt.datetime(2026, 1, 1, 22, tzinfo=dt.UTC) + dt.timedelta(minutes=start + minute)
+            flow = 5.0 * (1.0 - missing * math.exp(-minute / 12.0))
+            ripple = 0.05 * math.sin(start + 2.0 * minute)
+            rows.append(
+                {"time": time, "measured_l_per_min": flow + ripple, "predicted_l_per_min": 4.5}
+            )
+    seen = re.findall(r"(.)\d+ % of the flow in the first (\d+)", "".join(explain_warm_up(rows)))
+    assert seen == ([] if cold is None else [("-", str(cold))])
