@@ -110,10 +110,12 @@ def _print_json(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> 
 
 def fleet_lines(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> Iterator[str]:
     """Yield lines below the motors: last run, deliveries, damage, intraday check."""
-    ended = (
-        f"{fleet_state.last_good_run:%Y-%m-%d %H:%M} UTC" if fleet_state.last_good_run else "never"
-    )
-    yield f"last good run: {ended}{', which is too old' if too_old else ''}"
+    good, beat = fleet_state.last_good_run, fleet_state.beat
+    ended = f"{good:%Y-%m-%d %H:%M} UTC" if good else "never"
+    later = ""
+    if beat is not None and beat.is_finished and (good is None or good < beat.started_at):
+        later = f"; the run of {beat.started_at:%Y-%m-%d %H:%M} UTC left failures, or had no log"
+    yield f"last run without a failure: {ended}{', which is too old' if too_old else ''}{later}"
     if (newest := fleet_state.newest_sample) is not None:
         days = (now() - newest).days
         ago = f", {days} days ago" if days > 1 else ""
@@ -137,10 +139,10 @@ def fleet_lines(fleet_state: FleetStatus, *, too_old: bool, is_silent: bool) -> 
 
 def _run_line(fleet_state: FleetStatus) -> str | None:
     """Return line on a run that is under way, or that did not end."""
-    from pipeline.store.heartbeat import FINISHED, RUNNING
+    from pipeline.store.heartbeat import RUNNING
 
     beat = fleet_state.beat
-    if beat is None or beat.state == FINISHED:
+    if beat is None or beat.is_finished:
         return None
     done = f"{beat.n_motors_done} of {beat.n_motors} motors done"
     since = f"{beat.started_at:%Y-%m-%d %H:%M} UTC"

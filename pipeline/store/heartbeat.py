@@ -53,6 +53,11 @@ class Beat:
     last_good_run: AwareDatetime | None = None  # end of the last run after which no failure stands
     error_code: str | None = None  # of a run that failed
 
+    @property
+    def is_finished(self) -> bool:
+        """True of a run that went to its end."""
+        return self.state == FINISHED
+
     def is_missing(self, now: dt.datetime) -> bool:
         """Return True if a run is said to be under way and its beats have stopped."""
         age_s = (now - self.beaten_at).total_seconds()

@@ -61,7 +61,7 @@ def test_examples_of_the_help_run_as_they_stand(
         # The demo's logs leave questions open, which is 1.
         assert code == int(example.startswith("init ")), example
         # Piped, `status` says on stderr what is no motor's.
-        said = ("last good run: ", "newest samples: ")
+        said = ("last run without a failure: ", "newest samples: ")
         others = [line for line in err.splitlines() if not line.startswith(said)]
         assert (others if example.startswith("status ") else err.splitlines()) == [], example
 

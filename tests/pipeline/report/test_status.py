@@ -46,7 +46,7 @@ def test_max_age_counts_good_runs_alone(output: Path, config: Path, call: Call) 
         return bool(code)
 
     assert is_old("26h")
-    assert "last good run: never" in call("status", config)[2]
+    assert "last run without a failure: never" in call("status", config)[2]
     ran(output, 1.0, "interrupted")
     assert is_old("26h")
     ran(output, 30.0)
