@@ -26,7 +26,7 @@ STATES: Final[Mapping[str, str]] = {
     "stale": "no night with samples for long: the present state is unknown",
     "removed": "in the config no more, and nobody has confirmed it",
     "insufficient": "too few nights for a baseline, or to show a change",
-    "ok": "no change was detected; each motor says how small a change would have been",
+    "ok": "no change was detected; each motor says how small a step would have been",
 }
 NAMES = {
     "leakage": "leakage",

@@ -16,7 +16,7 @@ from pipeline.schema import ALARMS, LATEST, NIGHTS, Row
 from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
 from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.trends.decisions import SENSORS, Decision, read_decisions
-from pipeline.trends.sentences import WAIT, change_of, headline, limit_dates
+from pipeline.trends.sentences import WAIT, change_in_force, headline, limit_dates
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
@@ -87,8 +87,8 @@ class MotorState:
 
     @property
     def change(self) -> str:
-        """Leakage now against its baseline, with its interval; empty where it is not known."""
-        return change_of(self.row)
+        """Leakage against its baseline, with its interval; empty where it is not known."""
+        return change_in_force(self.row)
 
     @property
     def headline(self) -> str:

@@ -22,7 +22,7 @@ from leakage.watch.causes import (
     TANK,
     TEMPERATURE_EFFECT,
 )
-from leakage.watch.choices import MOSTLY, NAMED
+from leakage.watch.choices import MOSTLY, NAMED, PRESENT_NIGHTS
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.nights import SEVERAL
 from pipeline.arrays import Array
@@ -117,6 +117,12 @@ class NightState:
         if self.watch is None or self.change is None or self.watch.state.in_force is None:
             return None
         return self.watch.state.in_force.circuit
+
+    @property
+    def is_beyond_circuit_nights(self) -> bool:
+        """True if the change has lasted for longer than the nights that `circuit` is of."""
+        since = None if self.change is None else self.change.since
+        return since is not None and self.night.toordinal() - since >= PRESENT_NIGHTS
 
     @property
     def gap_growth(self) -> Estimate | None:

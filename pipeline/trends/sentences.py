@@ -20,7 +20,7 @@ WHAT = {
     "oil_grade": "flows have {risen} as with a {thinner} oil",
     "temperature_sensor": "flows have {risen} as with an oil temperature that reads wrong",
     "flushing": "the flushing has {risen}",
-    "known": "the flow that is taken as known has {risen}",
+    "known": "the flow that the motor type states has {risen}",
     "zero": "flow has {risen} as with a zero of the flow sensor that has moved",
     "back_as_before": "flow is back where it was",
     "odd_nights": "single nights deviate, again and again",
@@ -34,7 +34,7 @@ CAUSES = {
     "oil_grade": "another oil",
     "temperature_sensor": "the oil temperature sensor",
     "temperature_effect": "the effect of temperature",
-    "known": "the flow that is taken as known",
+    "known": "the flow that the motor type states",
     "zero": "the zero of the flow sensor",
     "back_as_before": "back as before",
     "odd_nights": "single odd nights",
@@ -224,10 +224,13 @@ def _quiet(night: NightState, since: dt.date) -> str:
     words = f"too few nights since {day(since)} to show a change"
     if night.state != "insufficient" and verdict.smallest is not None:
         percent = max(math.ceil(100.0 * verdict.smallest), 1)
-        words = f"no change of more than {percent} % since {day(since)}"
+        words = (
+            f"no change detected since {day(since)} (a step of {percent} % would have been within "
+            "ten nights, a slow change may be larger)"
+        )
     words = f"{words}; {_newest_night(night)}"
     if verdict.is_beyond:
-        words = f"{words}, beyond that: a second night like it is a warning"
+        words = f"{words}, beyond such a step: a second night like it is a warning"
     change = night.change
     if change is None:
         return words
@@ -261,13 +264,14 @@ def _changed(night: NightState, change: Change) -> str:
 
 
 def _beside_circuit(night: NightState, change: Change) -> str:
-    """Return the motor's own part, and what the circuit's other motors did over the same nights."""
+    """Return the motor's own part and what its circuit's other motors did, over which nights."""
     circuit = night.circuit
     if circuit is None or change.cause == "odd_nights":
         return ""
+    over = "in the first ten nights" if night.is_beyond_circuit_nights else "since then"
     return (
-        f"its own part {relative_change(circuit.own)}, the circuit's other motors "
-        f"{relative_change(circuit.of_circuit)} over the same nights"
+        f"on average {over} its own part {relative_change(circuit.own)}, the circuit's other "
+        f"motors {relative_change(circuit.of_circuit)}"
     )
 
 
@@ -310,6 +314,30 @@ def change_of(row: Mapping[str, Any], name: str = "leakage_change") -> str:
     return "" if None in ends else in_percent(*ends)
 
 
+def change_in_force(row: Mapping[str, Any]) -> str:
+    """Return the change of a row of `nights` that its state rests on; empty where there is none.
+
+    That of the newest night, or the mean since the onset where the newest night alone shows none.
+
+    Examples
+    --------
+    >>> row = {"onset": "2026-02-03", "leakage_change_percent": 2.0}
+    >>> row |= {"leakage_change_lower": -0.5, "leakage_change_upper": 4.5}
+    >>> row |= {f"mean_change_{end}": of for end, of in (("percent", 3.0), ("lower", 1.0))}
+    >>> change_in_force(row | {"mean_change_upper": 5.0})
+    '+3.0 % [1.0, 5.0] on average'
+    """
+    newest = change_of(row)
+    if newest and row["onset"] and _may_be_zero(row, "leakage_change"):
+        mean = change_of(row, "mean_change")
+        return f"{mean} on average" if mean and not _may_be_zero(row, "mean_change") else newest
+    return newest
+
+
+def _may_be_zero(row: Mapping[str, Any], name: str) -> bool:
+    return bool(row[f"{name}_lower"] <= 0.0 <= row[f"{name}_upper"])
+
+
 def headline(row: Mapping[str, Any]) -> str:
     """Return the change of a row of `nights`, since when, and the part; empty without a change.
 
@@ -321,7 +349,7 @@ def headline(row: Mapping[str, Any]) -> str:
     >>> headline(row)
     'leakage +43 % [38, 47] since 3 February 2026, part not identified'
     """
-    if not (size := change_of(row)):
+    if not (size := change_in_force(row)):
         return ""
     quantity = "case drain flow" if row["cause"] in NO_LEAKAGE else "leakage"
     since = f" since {day(row['onset'])}" if row["onset"] else ""

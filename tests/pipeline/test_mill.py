@@ -167,10 +167,10 @@ def test_a_mills_first_day_in_four_commands(
     assert worse["onset_earliest"].isoformat() <= "2026-03-14" <= worse["onset_latest"].isoformat()
     for drive in (SWAPPED, CUT):
         assert latest[drive.name]["state"] == "ok"
-        assert latest[drive.name]["sentence"].startswith("no change of more than ")
+        assert latest[drive.name]["sentence"].startswith("no change detected since ")
         assert latest[drive.name]["detection_limit_percent"] < 10.0
         page = (output / f"report/motors/{drive.name}.html").read_text("utf-8")
-        assert "No change of more than" in page
+        assert "No change detected since" in page
     assert "columns changed?" in latest[SWAPPED.name]["reason"]
     # Cut after 70 % of the shift.
     for words in ("2.8 h of log, 4.0 h in the nights before", "1 last row without a line end"):

@@ -132,13 +132,13 @@ def words_are_the_columns(row: Row, rows: Sequence[Row]) -> bool:
 
 def limit_is_the_column(row: Row, _: Sequence[Row]) -> bool:
     """The limit in words is that of the column; a night wholly beyond it says so."""
-    said = re.search(r"no change of more than (\d+) %", row["sentence"])
+    said = re.search(r"\(a step of (\d+) % would have been", row["sentence"])
     if said is None:
         return True
     limit = row["detection_limit_percent"]
     is_said = int(said.group(1)) == max(math.ceil(limit), 1)
     is_beyond = _is_beyond_limit(row, "leakage_change")
-    return is_said and (not is_beyond or "beyond that" in row["sentence"])
+    return is_said and (not is_beyond or "beyond such a step" in row["sentence"])
 
 
 def advice_fits(row: Row, _: Sequence[Row]) -> bool:

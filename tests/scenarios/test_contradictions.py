@@ -46,8 +46,8 @@ OK = night(
     (0.5, -1.5, 2.5),
     state="ok",
     evidence=2.0,
-    sentence="no change of more than 5 % since 1 January 2026; leakage +0.5 % [-1.5, 2.5] on 1 "
-    "February 2026",
+    sentence="no change detected since 1 January 2026 (a step of 5 % would have been within ten "
+    "nights, a slow change may be larger); leakage +0.5 % [-1.5, 2.5] on 1 February 2026",
     advice="Nothing to do.",
 )
 RISEN = night(
@@ -66,8 +66,9 @@ RISEN = night(
 BACK = OK | {"cause": "back_as_before", "evidence": 80.0}
 PART = RISEN | {"cause": "a_part", "cause_probability": 0.6, "candidates": causes(a_part=0.6)}
 FALLING = "leakage has risen: leakage -8.5 % [-10.5, -6.5] on 1 February 2026; still rising"
-LIMIT = "no change of more than 5 % since x"
-BEYOND = OK | changed("leakage_change", 8.5, 6.5, 10.5) | {"sentence": f"{LIMIT}, beyond that"}
+LIMIT = "no change detected since x (a step of 5 % would have been"
+BEYOND = OK | changed("leakage_change", 8.5, 6.5, 10.5)
+BEYOND |= {"sentence": f"{LIMIT}, beyond such a step"}
 # By rule: a row that goes together, and what contradicts it.
 PLANTED: tuple[tuple[str, Row, Row], ...] = (
     ("ok_has_no_evidence", OK, {"evidence": 9.6}),

@@ -26,7 +26,7 @@ def night_of(place: int) -> dt.date:
 
 
 SENTENCES = {
-    "ok": "no change of more than 3 % since 2 January 2026",
+    "ok": "no change detected since 2 January 2026",
     "alarm": "leakage +21 % [17, 25] tonight, since 4 January 2026 [3, 5]: balance sleeve",
 }
 ADVICE = {

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from leakage.watch import Change, Estimate, Verdict
+from leakage.watch.circuit import circuit_change
 from pipeline.config.settings import Conditions
 from pipeline.schema.fits import model_verdict
 from pipeline.trends.night_state import Baseline, NightState, with_state
@@ -58,7 +59,8 @@ def watched(found: Change | None = None, **more: Any) -> NightState:
     verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023)
     in_verdict = {name: more.pop(name) for name in Verdict.__slots__ if name in more}
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
-    watch = SimpleNamespace(state=SimpleNamespace(machine=machine, in_force=None))
+    in_force = SimpleNamespace(circuit=more.pop("circuit", None))
+    watch = SimpleNamespace(state=SimpleNamespace(machine=machine, in_force=in_force))
     own = Baseline(night_of(0), night_of(7), 8, Conditions(150.0, 50.0, 40.0), (1e-14,) * 3)
     leakages = {"own_leakage": Estimate(1.2, 0.01), "reference_leakage": Estimate(1.5, 0.02)}
     verdict = replace(verdict, **in_verdict)
@@ -177,6 +179,8 @@ def unnamed(alike: tuple[str, ...] = (), **candidates: float) -> Change:
 
 BEYOND = motor(limits="[limits]\nalarm_l_per_min = 1.4\n")
 NO_LOG = "no log covers this night"
+NEW = change(SLEEVE, since=night_of(21).toordinal())
+BESIDE = circuit_change(Estimate(0.12, 0.01), [Estimate(0.02, 0.01), Estimate(0.04, 0.01)])
 # By name: a night, and zeros of sensors that have moved, in words.
 NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
     name: (night, ())
@@ -227,6 +231,9 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
         **{f"rise, {cause}": watched(change(cause)) for cause in (*WHAT, SLEEVE)},
     }.items()
 } | {
+    # What the circuit says is of ten nights at most from the onset.
+    "beside its circuit, at first": (watched(NEW, circuit=BESIDE), ()),
+    "beside its circuit, later": (watched(change(SLEEVE), circuit=BESIDE), ()),
     "a sensor has drifted, and a part": (watched(change(SLEEVE)), ("a zero has moved",)),
     "a sensor has drifted": (watched(), ("a zero has moved",)),
 }
