@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -98,7 +98,6 @@ def fit_fleet(
     with stoppable():
         from pipeline.logs.finding import strays_text, unclaimed
         from pipeline.run.fleet import RunRequest
-        from pipeline.setup.first_look import FirstLook
 
         fleet = load(config, output, jobs)
         require_order(since, until)
@@ -110,7 +109,7 @@ def fit_fleet(
             redo=None if redo is None else nights(redo),
             retry=retry,
             repair=repair,
-            first_look=FirstLook,
+            first_look=_first_findings,
         )
         if dry_run:
             print_plan(request, as_json=as_json)
@@ -118,6 +117,13 @@ def fit_fleet(
         if not as_json and (strays := strays_text(unclaimed(fleet))):
             say(strays, err=True)
         _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
+
+
+def _first_findings(*look: Any) -> Iterator[str]:
+    """Look at the first run of a motor as `columns.first_findings`, loaded where there is one."""
+    from pipeline.setup.columns import first_findings
+
+    return first_findings(*look)
 
 
 def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:

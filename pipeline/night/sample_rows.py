@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise, repeat
 from typing import Any
 
 import numpy as np
+import polars as pl
 from scipy.special import ndtri
 
 from leakage import Motor
@@ -25,6 +26,11 @@ from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDG
 HOUR_US = 3_600_000_000
 # Standard errors from the middle of a 95 % interval to its ends.
 HALF = float(ndtri(0.975))
+# Conditions that vary by less tell nothing: the 5th to 95th percentile beside the median, and [K].
+VARIES, VARIES_K = 0.3, 4.0
+# Ranks of a flow and of what drives it agree at least so far, with noise and dead time.
+FOLLOWS = 0.2
+FEWEST_RANKED, MOST_RANKED = 200, 20_000
 
 
 def data_columns(night: Night, samples: Samples, counter: RawChannel | None) -> Row:
@@ -191,3 +197,25 @@ def prediction_rows(
         shared = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
         rows += _rows(columns | {"predicted_l_per_min": predicted.tolist()}, shared)
     return rows
+
+
+def strange_flow(samples: Samples) -> Iterator[str]:
+    """Yield that the drain flow of a night follows nothing that drives it."""
+    pressure, temperature = np.abs(samples.pressure_difference_bar), samples.oil_temperature_c
+    flow = samples.leakage_l_per_min
+    if flow.size < FEWEST_RANKED or not np.ptp(flow) > 0:
+        return
+    widths = ((pressure, VARIES * np.median(pressure)), (temperature, VARIES_K))
+    drives = [values for values, width in widths if np.ptp(np.percentile(values, (5, 95))) > width]
+    # Hotter oil is thinner: the flow rises with either.
+    if drives and all(_rank_correlation(drive, flow) < FOLLOWS for drive in drives):
+        how = "follows neither pressure nor the oil's viscosity"
+        yield f"the drain flow {how}: are columns swapped?"
+
+
+def _rank_correlation(values: Array, others: Array) -> float:
+    """Return Spearman's coefficient."""
+    # Not SciPy's, which takes half a second to load before the first run of a fleet.
+    thin = slice(None, None, max(len(values) // MOST_RANKED, 1))
+    ranks = pl.corr(pl.Series(values[thin]), pl.Series(others[thin]), method="spearman")
+    return float(pl.select(ranks).item())

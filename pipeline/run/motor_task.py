@@ -33,6 +33,7 @@ from pipeline.night.column_change import (
 )
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.refit import FROM_TABLES, PublishedNight, refit, refit_read
+from pipeline.night.sample_rows import strange_flow
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.run.night_plan import NO_LOG, NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
@@ -276,10 +277,12 @@ class MotorRun(NightPlan):
         newest = max(filter(self.task.wants, self.logs.present()), default=label)
         if self.task.first_look is None or self.nights_before or label < newest:
             return self._unless_changed(fit_night(self.fitted_spec, here, channels))
-        look = self.task.first_look()
-        look.at_log(self.spec, label, self.logs.in_time(), self.logs.path, channels)
-        outcome = fit_night(self.fitted_spec, here, channels, look.at_samples)
-        self.findings = tuple(look.findings)
+        dated, path_of = self.logs.in_time(), self.logs.path
+        findings = [*self.task.first_look(self.spec, label, dated, path_of, channels)]
+        outcome = fit_night(
+            self.fitted_spec, here, channels, lambda kept: findings.extend(strange_flow(kept))
+        )
+        self.findings = tuple(findings)
         return self._unless_changed(outcome)
 
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:

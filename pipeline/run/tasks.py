@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
+from pipeline.ingest import RawChannel
 from pipeline.logs.finding import legible
 from pipeline.logs.processed import FileRecord, ProcessedChange, ProcessedLogs
 from pipeline.schema.fits import FAILED
@@ -19,32 +20,26 @@ from pipeline.store.published import TableFault
 from pipeline.trends.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss
 
-if TYPE_CHECKING:
-    from pipeline.ingest import RawChannel
-    from pipeline.night.time_base import Samples
-
 # A motor of which more nights than this take their worker with them, or more logs than this do not
 # answer, is given up as a whole.
 MOST_GIVEN_UP = 3
 
 
-class FirstLook(Protocol):
-    """A look at what the first run of a motor reads of its newest night."""
+FirstLook = Callable[
+    [
+        MotorSpec,
+        dt.date,
+        Sequence[tuple[dt.date, str]],
+        Callable[[str], Path],
+        Mapping[str, RawChannel],
+    ],
+    Iterable[str],
+]
+"""What is said of columns and units of the newest night of a motor's first run.
 
-    findings: list[str]  # in words
-
-    def at_log(
-        self,
-        spec: MotorSpec,
-        night: dt.date,
-        dated: Sequence[tuple[dt.date, str]],
-        path_of: Callable[[str], Path],
-        channels: Mapping[str, RawChannel],
-    ) -> None:
-        """Look at the logs that can be read, in order of time, and at the night's channels."""
-
-    def at_samples(self, samples: Samples) -> None:
-        """Look at the samples that cleaning kept."""
+It gets motor, night, the logs that can be read in order of time with the last night of each, how to
+find one, and the night's raw channels.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +52,7 @@ class Selection:
     # redo: first and last night to make anew from the logs that there are, whatever they lack.
     redo: tuple[dt.date, dt.date] | None = None
     retry: bool = False  # whether to try nights and logs again that failed
-    first_look: Callable[[], FirstLook] | None = None  # what looks at motors of the first run
+    first_look: FirstLook | None = None  # what looks at motors of the first run
 
     def asks_for(self, label: dt.date) -> bool:
         """Return True where a person wants a night made anew, whatever its logs lack."""

@@ -3,39 +3,66 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import SECOND_US, Times
-from pipeline.clock import microseconds, now, utc
+from pipeline.clock import latest_us, microseconds, now, utc
 from pipeline.config import MotorSpec
 from pipeline.config.channels import ChannelName
-from pipeline.config.nights import night_of
+from pipeline.config.nights import DAY, night, night_of
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, read_log
+from pipeline.ingest import RawChannel
 from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
-from pipeline.logs.files import change_of, failed, labels_of, spanned, stat_log
+from pipeline.logs.files import (
+    change_of,
+    failed,
+    labels_of,
+    reaches_us,
+    slice_night,
+    spanned,
+    stat_log,
+)
 from pipeline.logs.finding import FolderLogs, logs_of
+from pipeline.logs.motor_logs import MotorLogs
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.night.cleaning import ChannelRules, Rests, clean_channel
-from pipeline.schema.fits import DECIDING_NIGHTS, OK, agreed_lag
-from pipeline.setup.column_check import (
-    Dated,
+from pipeline.night.column_change import (
+    USUAL_NIGHTS,
+    column_change,
+    readings_of,
+    usual_readings,
+)
+from pipeline.night.fit_night import fit_night
+from pipeline.night.sample_rows import strange_flow
+from pipeline.night.time_base import Samples
+from pipeline.schema.fits import (
+    DECIDING_NIGHTS,
+    FAILED,
+    LAG_COLUMNS,
+    NO_NEW_DATA,
+    OK,
+    agreed_lag,
+)
+from pipeline.setup.columns import (
     changed_readings,
     column_changes,
     differing_units,
+    headers_of,
     suspect_units,
     unused_qualities,
 )
-from pipeline.setup.extremes import jumps, repeated_extremes
-from pipeline.setup.forecast import NightForecast, forecasts
-from pipeline.setup.operation import night_of_log, operation, swapped
 from pipeline.setup.propose import LARGEST_LOG_BYTES
-from pipeline.setup.sampling import sampling_note
+from pipeline.setup.samples import (
+    operation,
+    repeated_extremes,
+    sampling_note,
+    temperature_jumps,
+)
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
@@ -68,6 +95,18 @@ class ChannelCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class NightForecast:
+    """What a run would make of a night."""
+
+    night: str
+    status: str  # as in `nights`
+    reason: str
+    # As in `fits`: lag of its drain flow, and what it explains.
+    drain_lag_s: float | None = None
+    drain_lag_gain_percent: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MotorCheck:
     """A motor's logs from outside, and the channels of the newest."""
 
@@ -96,55 +135,39 @@ def check_motor(
 
     Raises StoreError if an object store cannot be read.
     """
-    logs = logs_of(spec)
-    names = logs.names
+    source = logs_of(spec)
+    names = source.names
     if spec.log_url and len(names) > OPENED:
         # The first, and the last, which are the newest where names hold a date.
         names = (names[0], *names[1 - OPENED :])
-    looked_at = {name: _looked_at(name, logs, spec) for name in names}
-    records = without_misdated(looked_at)
+    records = without_misdated({name: _by_its_ends(name, source, spec) for name in names})
+    logs = MotorLogs(spec, {}, latest_us(), {}, records)
     nights = {label for record in records.values() for label in labels_of(record)}
-    dated = sorted(
-        (max(labels_of(record)), name)
-        for name, record in records.items()
-        if record.status == "ok" and record.nights
-    )
-    small = [(label, name) for label, name in dated if records[name].size <= LARGEST_LOG_BYTES]
-    channels, unfit, worth = _look_into(spec, small, logs.path) if small else ((), [], [])
-    stated = (*spec.motor_type.path, *(spec.oils[name] for name in spec.file.oils))
-    broken, written = (
-        [
-            f"{record.error_code}: {record.message}"
-            for record in records.values()
-            if record.status == status
-        ]
-        for status in ("failed", "growing")
-    )
-    absent = [f"log_missing: {name}: named in the config and absent" for name in logs.absent]
-    if not logs.names:
-        absent.append(f"no_logs: no log: {'; '.join(logs.unmatched()) or 'logs.files names none'}")
-    absent += [
-        f"log_misdated: {name}: {misdated_message(records[name], days)}"
-        for name, days in dated_otherwise(records).items()
-    ]
     open_nights = sorted(nights.difference(stays))
-    forecast = tuple(_forecast(spec, records, open_nights, is_full=is_full))
-    notes = [*worth, *written, *_lag_notes(spec, forecast)]
-    if len(names) != len(logs.names):
+    looks = list((_every_look if is_full else _few_looks)(spec, logs, open_nights))
+    forecast = tuple(
+        NightForecast(str(look.label), look.status, look.reason, **look.lag) for look in looks
+    )
+    channels, unfit, worth = _look_into(spec, logs, looks)
+    notes = [*worth, *_messages(logs.files, "growing"), *_lag_notes(spec, forecast)]
+    if len(names) != len(source.names):
         notes.append(
-            f"{len(names)} of {len(logs.names)} objects were opened, the first and the last by "
+            f"{len(names)} of {len(source.names)} objects were opened, the first and the last by "
             f"name below {spec.log_url}: nights and channels are theirs"
         )
-    faults = [*broken, *absent, *column_changes(spec, dated, logs.path), *unfit]
+    broken = {name for name in names if logs.files[name].status != records[name].status}
+    read = {name: logs.files[name] for name in broken}
+    faults = [*_file_faults(source, records), *_messages(read, "failed"), *unfit]
     if not faults:
         # Of a plant's first day there is nothing to mend.
         unfitted = notes if _is_first_night(spec, records) else faults
         unfitted += _no_night(forecast, n_nights=len(open_nights))
+    stated = (*spec.motor_type.path, *(spec.oils[name] for name in spec.file.oils))
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
         log_format=spec.file.logs.format,
-        n_files=len(logs.names),
+        n_files=len(source.names),
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
@@ -152,13 +175,13 @@ def check_motor(
         placeholders=tuple(entry.name for entry in stated if entry.source == "placeholder"),
         channels=channels,
         forecast=forecast,
-        notes=(*notes, *_cut(spec, records, logs), *logs.unmatched()),
+        notes=(*notes, *_cut(spec, records, source), *source.unmatched()),
     )
 
 
-def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
+def _by_its_ends(name: str, source: FolderLogs, spec: MotorSpec) -> FileRecord:
     try:
-        path = logs.path(name)
+        path = source.path(name)
     except LogError as error:  # replaced or removed since it was listed
         return failed(FileRecord(name, 0, 0, None), error)
     record = stat_log(name, path)
@@ -168,28 +191,89 @@ def _looked_at(name: str, logs: FolderLogs, spec: MotorSpec) -> FileRecord:
     return spanned_record if why is None else failed(spanned_record, why)
 
 
-def _forecast(
-    spec: MotorSpec,
-    records: Mapping[str, FileRecord],
-    nights: Sequence[dt.date],
-    *,
-    is_full: bool,
-) -> Iterator[NightForecast]:
-    """Forecast the newest night; where it is not fitted, the first and middle one; or all."""
-    if is_full:
-        yield from forecasts(spec, nights)
-        return
-    sizes = {
-        label: sum(record.size for record in records.values() if label in labels_of(record))
-        for label in nights
-    }
-    small = [label for label in nights if sizes[label] <= LARGEST_LOG_BYTES]
-    # The newest, then the first and the middle one.
+def _file_faults(source: FolderLogs, records: Mapping[str, FileRecord]) -> Iterator[str]:
+    """Yield logs that cannot be read, are absent, or are of another date than they are named by."""
+    yield from _messages(records, "failed")
+    for name in source.absent:
+        yield f"log_missing: {name}: named in the config and absent"
+    if not source.names:
+        yield f"no_logs: no log: {'; '.join(source.unmatched()) or 'logs.files names none'}"
+    for name, days in dated_otherwise(records).items():
+        yield f"log_misdated: {name}: {misdated_message(records[name], days)}"
+
+
+def _messages(records: Mapping[str, FileRecord], status: str) -> list[str]:
+    """Return what there is to say of the files of a status."""
+    files = (record for record in records.values() if record.status == status)
+    return [f"{record.error_code}: {record.message}" for record in files]
+
+
+# Nights
+
+
+@dataclass(frozen=True, slots=True)
+class _NightLook:
+    """A night by the rules of a run."""
+
+    label: dt.date
+    status: str
+    reason: str
+    row: Mapping[str, Any] = field(default_factory=dict)  # as of `nights`
+    lag: Mapping[str, float | None] = field(default_factory=dict)  # as of `fits`
+    samples: Samples | None = None  # that cleaning kept; None for none
+
+
+def _every_look(
+    spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]
+) -> Iterator[_NightLook]:
+    """Look into all nights, in order of time; each is compared with those before it."""
+    fitted: dict[dt.date, Mapping[str, Any]] = {}
+    for label in labels:
+        look = _look_at_night(spec, logs, label)
+        begins = (event.date for event in spec.file.baseline_events if event.date <= label)
+        since = max(begins, default=dt.date.min)
+        before = [row for day, row in fitted.items() if day >= since][-USUAL_NIGHTS:]
+        usual, readings = usual_readings(before), readings_of(look.row)
+        if usual and readings and (why := column_change(spec, usual, readings)):
+            look = replace(look, status=FAILED, reason=why)
+        if look.status == OK:
+            fitted[label] = look.row
+        yield look if label == labels[-1] else replace(look, samples=None)
+
+
+def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> Iterator[_NightLook]:
+    """Look into the newest night that is small; where it is not fitted the first and middle one."""
+    sizes = {label: sum(logs.files[name].size for name in logs.of_night(label)) for label in labels}
+    small = [label for label in labels if sizes[label] <= LARGEST_LOG_BYTES]
     for label in dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small):
-        (forecast,) = forecasts(spec, [label], records)
-        yield forecast
-        if forecast.status == OK:
+        look = _look_at_night(spec, logs, label)
+        yield look
+        if look.status == OK:
             return
+
+
+def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLook:
+    here = night(label, spec.settings.nights)
+    names = logs.of_night(label)
+    contents = [logs.content(name) for name in (*logs.before_night(here), *names)]
+    broken = [record for name in names if (record := logs.files[name]).status != "ok"]
+    if broken:
+        return _NightLook(label, FAILED, broken[0].message or "")
+    read = [content for content in contents if content is not None]
+    channels = slice_night(read, here, reaches_us(spec))
+    if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
+        return _NightLook(label, NO_NEW_DATA, "no log covers this night")
+    kept = list[Samples]()
+    outcome = fit_night(spec, here, channels, kept.append)
+    logs.let_go_until(label - DAY)
+    return _NightLook(
+        label,
+        outcome.status,
+        outcome.reason or "",
+        outcome.rows["nights"][0],
+        {name: outcome.rows["fits"][0].get(name) for name in LAG_COLUMNS},
+        next((samples for samples in kept if len(samples.index)), None),
+    )
 
 
 def _lag_notes(spec: MotorSpec, forecast: Sequence[NightForecast]) -> Iterator[str]:
@@ -238,52 +322,54 @@ def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -
                 yield f"{name}: the last line has no end: the log is cut, or being written"
 
 
-# Channels
+# The newest log
 
 
 def _look_into(
-    spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]
+    spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook]
 ) -> tuple[tuple[ChannelCheck, ...], Sequence[str], Sequence[str]]:
-    """Look into the newest log.
+    """Look into the newest log that is small.
 
-    Returned are its configured channels; faults, of a log that looks sound from outside and cannot
-    be read, and of units; and notes, on what a night gives and on samples that do not look as
-    configured.
+    Returned are its configured channels; faults, of logs that look sound from outside and cannot be
+    read, and of columns and units; and notes, on what a night gives and on samples that do not look
+    as configured.
     """
-    label, newest = dated[-1]
-    try:
-        log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
-    except LogError as error:
-        return (), [f"{error.code}: {error.message}"], []
+    dated, header = logs.in_time(), headers_of(spec, logs.path)
+    changes = list(column_changes(spec, dated, header))
+    small = [place for place in dated if logs.files[place[1]].size <= LARGEST_LOG_BYTES]
+    if not small:
+        return (), changes, []
+    label, newest = small[-1]
+    log = logs.content(newest)
+    if log is None:  # which is a fault of its own
+        return (), changes, []
     speed = log.channels["speed"]
     clean = clean_channel(speed, _rules(spec, "speed"))
     rests = Rests.of(clean, spec.settings.cleaning.standstill_rpm)
     checks = tuple(
         _channel_check(spec, name, log.channels[name], rests) for name in spec.file.channels
     )
-    samples = night_of_log(spec, label, log)
-    if samples and (changed := changed_readings(spec, dated, path_of, samples)):
+    look = next((look for look in looks if look.label == label), None)
+    samples = None if look is None else look.samples
+    if samples and (changed := changed_readings(spec, small, logs.content, samples)):
         # What else is odd follows from it.
-        return checks, [changed], []
-    differing = differing_units(path_of(newest), spec.file)
-    notes = [f"no sample of the night {label} is kept"]
-    if samples:
-        notes = [operation(spec, samples), *swapped(samples)]
-    looks = (
-        sampling_note(name, channel, log.channels[name])
-        for name, channel in spec.file.channels.items()
-        if channel.constant is None
-    )
+        return checks, [*changes, changed], []
+    notes = [operation(spec, samples), *strange_flow(samples)] if samples else []
+    if look and not samples:
+        notes = [f"no sample of the night {label} is kept"]
+    for name, channel in spec.file.channels.items():
+        if channel.constant is None:
+            notes += sampling_note(name, channel, log.channels[name])
     faults = [
-        *differing,
+        *changes,
+        *differing_units(spec.file, header(newest)),
         *suspect_units(spec, label, log.channels),
         *repeated_extremes(spec, log.channels),
     ]
+    notes += temperature_jumps(log.channels["oil_temperature"])
+    notes += unused_qualities(logs.path(newest), header(newest), spec.file)
     # What is refused mostly follows from the rest.
-    faults = faults or [*_refused(checks, log.channels["speed"].time_us)]
-    unused = unused_qualities(path_of(newest), spec.file)
-    leaps = jumps(log.channels["oil_temperature"])
-    return checks, faults, [*notes, *filter(None, looks), *leaps, *unused]
+    return checks, faults or [*_refused(checks, speed.time_us)], notes
 
 
 def _refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:

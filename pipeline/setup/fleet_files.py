@@ -29,7 +29,7 @@ from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs
 from pipeline.setup.propose import LARGEST_LOG_BYTES, Proposal, ProposedMotor
-from pipeline.setup.sampling import silence_keys
+from pipeline.setup.samples import silence_keys
 from pipeline.setup.tables import Column
 from pipeline.units import canonical_unit
 

@@ -47,6 +47,7 @@ VARIES, COUNT = "\0", "\1"
 
 Parts = tuple[str, ...]
 Span = tuple[int, int]
+"""Ends of a log in microseconds."""
 Ask = Callable[[str, str, Sequence[str]], str | None]
 
 
@@ -59,17 +60,17 @@ class Kind:
     name: str  # what names them
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What distinguishes logs of one motor from those of several."""
+def kinds_of(
+    files: Sequence[Path],
+    root: Path,
+    columns_of: Callable[[Path], object],
+    span_of: Callable[[Path], Span | None],
+    ask: Ask,
+) -> list[Kind]:
+    """Return the files by motor, or log of several motors, in the order of their names.
 
-    columns_of: Callable[[Path], object]
-    span_of: Callable[[Path], Span | None]  # in microseconds; None where it is not known
-    ask: Ask
-
-
-def kinds_of(files: Sequence[Path], root: Path, seen: Seen) -> list[Kind]:
-    """Return the files by motor, or log of several motors, in the order of their names."""
+    Columns and ends distinguish logs of one motor from those of several, where they are known.
+    """
     alike: dict[Parts, list[Path]] = {}
     for path in files:
         alike.setdefault(template_of(path.relative_to(root).parts), []).append(path)
@@ -79,7 +80,7 @@ def kinds_of(files: Sequence[Path], root: Path, seen: Seen) -> list[Kind]:
     by_template: dict[Parts, list[Path]] = {}
     for counted, templates in by_count.items():
         own = {template: alike[template] for template in templates}
-        if len(own) > 1 and _is_one_motor(counted, own, seen):
+        if len(own) > 1 and _is_one_motor(counted, own, columns_of, span_of, ask):
             own = {counted: sorted(path for group in own.values() for path in group)}
         by_template |= own
     in_folder = Counter(template[:-1] for template in by_template)
@@ -149,13 +150,19 @@ def _counted(text: str) -> str:
     return text
 
 
-def _is_one_motor(counted: Parts, own: Mapping[Parts, Sequence[Path]], seen: Seen) -> bool:
+def _is_one_motor(
+    counted: Parts,
+    own: Mapping[Parts, Sequence[Path]],
+    columns_of: Callable[[Path], object],
+    span_of: Callable[[Path], Span | None],
+    ask: Ask,
+) -> bool:
     """True if files that differ by a count are one motor's; it is asked where that is not clear."""
-    columns = [seen.columns_of(group[-1]) for group in own.values()]
+    columns = [columns_of(group[-1]) for group in own.values()]
     if None in columns or any(column != columns[0] for column in columns):
         return False
     ends = dict.fromkeys(path for group in own.values() for path in (group[0], group[-1]))
-    spans = [seen.span_of(path) for path in ends]
+    spans = [span_of(path) for path in ends]
     known = sorted(span for span in spans if span is not None)
     if any(later[0] < earlier[1] for earlier, later in pairwise(known)):
         return False
@@ -168,7 +175,7 @@ def _is_one_motor(counted: Parts, own: Mapping[Parts, Sequence[Path]], seen: See
     shown = ", ".join("/".join(template) for template in list(own)[:3]).replace(VARIES, "*")
     text = f"{shown}: logs of one motor, one after the other, or of several motors?"
     pattern = "/".join(counted).replace(COUNT, "*").replace(VARIES, "*")
-    return seen.ask(f"motors of {pattern}", text, ("one", "several")) == "one"
+    return ask(f"motors of {pattern}", text, ("one", "several")) == "one"
 
 
 def _patterns(

@@ -1,5 +1,16 @@
 """A fleet proposed from a plant's logs: its motors, their channels, and what has to be asked.
 
+| Of | is proposed | by |
+|---|---|---|
+| names of files, columns, ends | which files are one motor's | `layouts.kinds_of` |
+| the head of a log | dialect, columns, time | `sniff.sniff` |
+| stamps and names of files | whether day or month comes first | `_dated_by_names` |
+| columns, or tags in rows | what may be a channel, and its quality | `signals.signals_of` |
+| cells that repeat moments | the motors of rows | `signals.motors_of_rows` |
+| what names share | the motors of columns | `names.groups_of` |
+| words and units of a name | channel and unit | `names.meaning_of` |
+| readings | which of several columns, or units | `questions.Chooser` |
+
 Nothing ambiguous is decided: it is a `Question`, whose answer is taken as it stands.
 """
 
@@ -9,7 +20,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -20,7 +30,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import time_span
 from pipeline.logs.dates import NEAR_DAYS, days_off
 from pipeline.logs.finding import SUFFIXES, logs_below
-from pipeline.setup.layouts import Kind, Seen, kinds_of
+from pipeline.setup.layouts import Kind, kinds_of
 from pipeline.setup.names import groups_of, unit_named
 from pipeline.setup.questions import Asked, Chooser
 from pipeline.setup.signals import cells_of, columns_without_use, motors_of_rows, signals_of
@@ -72,35 +82,14 @@ def propose(
     if not files:
         raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
-    motors, faults = list[ProposedMotor](), list[str]()
-    asked, unread, n_done = Asked(answers), 0, 0
-    errors: dict[Path, LogError] = {}
-
-    @cache
-    def table_of(path: Path) -> Table | None:
-        try:
-            return sniff(path)
-        except LogError as error:
-            errors[path] = error
-        return None
-
-    def columns_of(path: Path) -> object:
-        table = table_of(path)
-        return table and (
-            table.logs["format"],
-            table.times,
-            [column.name for column in table.columns],
-        )
-
-    seen = Seen(columns_of, lambda path: _span(path, table_of(path)), asked.ask)
-    for kind in kinds_of(files, root, seen):
-        table = table_of(kind.files[-1])
+    sniffed, asked = _Sniffed(), Asked(answers)
+    motors, faults, n_done = list[ProposedMotor](), list[str](), 0
+    for kind in kinds_of(files, root, sniffed.columns, sniffed.span, asked.ask):
+        table = sniffed.table(kind.files[-1])
         n_done += len(kind.files)
         progress(n_done, len(files))
-        if table is None:
-            error = errors[kind.files[-1]]
-            faults.append(f"{error.code}: {error.message}")
-            unread += 1
+        if isinstance(table, LogError):
+            faults.append(f"{table.code}: {table.message}")
             continue
         asked.log = kind.name
         proposed = _motors(_dated_by_names(table, kind), kind, asked)
@@ -108,12 +97,40 @@ def propose(
         faults += [f"log_type: {kind.patterns[0]}: {fault}" for fault in table.faults]
         if not proposed:
             faults.append(f"no_motor: {kind.patterns[0]}: {_why_no_motor(table)}")
-    if unread == len(faults) > 0 and not motors:
+    if faults and all(fault.startswith("log_") for fault in faults) and not motors:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
     asked.require_known(motor.motor_id for motor in motors)
     questions, unused = tuple(asked.open.values()), tuple(asked.unused)
     unneeded = tuple(asked.unneeded)
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
+
+
+class _Sniffed:
+    """Logs of a source, each taken apart once."""
+
+    def __init__(self) -> None:
+        self._tables: dict[Path, Table | LogError] = {}
+
+    def table(self, path: Path) -> Table | LogError:
+        """Return a log as it is sniffed, or why it cannot be."""
+        if path not in self._tables:
+            try:
+                self._tables[path] = sniff(path)
+            except LogError as error:
+                self._tables[path] = error
+        return self._tables[path]
+
+    def columns(self, path: Path) -> object:
+        """Return what logs of one motor have in common; None where a log cannot be read."""
+        table = self.table(path)
+        if isinstance(table, LogError):
+            return None
+        return table.logs["format"], table.times, [column.name for column in table.columns]
+
+    def span(self, path: Path) -> tuple[int, int] | None:
+        """Return the ends of a log, or None where they are not known."""
+        table = self.table(path)
+        return None if isinstance(table, LogError) else _span(path, table)
 
 
 def _why_no_log(folder: Path) -> str:
@@ -184,9 +201,9 @@ def _agrees(path: Path, table: Table) -> bool:
     return off is not None and off <= NEAR_DAYS
 
 
-def _span(path: Path, table: Table | None) -> tuple[int, int] | None:
-    """Ends of a log as far as its dialect is known."""
-    if table is None or not table.columns:
+def _span(path: Path, table: Table) -> tuple[int, int] | None:
+    """Return ends of a log as far as its dialect is known."""
+    if not table.columns:
         return None
     with suppress(LogError, ValueError):
         logs = Logs.model_validate({**table.logs, "files": (path.name,)})

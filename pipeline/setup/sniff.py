@@ -27,7 +27,7 @@ from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
 from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
-from pipeline.setup.qualities import quality_words, whole_row_quality
+from pipeline.setup.signals import quality_words, whole_row_quality
 from pipeline.setup.tables import (
     HEAD_ROWS,
     SAMPLES,
@@ -88,10 +88,9 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
         return {}
     with readable(path):
         if logs.format == "parquet":
-            columns = _parquet_columns(path)
-            return {
-                column.name: column.unit if column.kind != "typed" else "" for column in columns
-            }
+            with opened(path) as file:
+                fields = _flat(file.schema_arrow.empty_table()).schema
+            return {field.name: _unit_of(field) for field in fields}
         lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
         header = islice(filter(str.strip, lines), 1 + logs.unit_rows)
         names, *units = [_cells(line, logs.separator) for line in header] or [()]
@@ -305,14 +304,26 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
         none = pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
         for batch in chain(file.iter_batches(batch_size=size, columns=wanted), [none]):
             batch.validate(full=True)
-            table = pa.Table.from_batches([batch])
-            while any(map(pa.types.is_struct, table.schema.types)):
-                table = table.flatten()
+            table = _flat(pa.Table.from_batches([batch]))
             yield [
                 (field, decoded(path, field.name, values.combine_chunks()))
                 for field, values in zip(table.schema, table.columns, strict=True)
                 if table.schema.names.count(field.name) == 1
             ]
+
+
+def _flat(table: pa.Table) -> pa.Table:
+    """Return the columns within columns by their paths."""
+    while any(map(pa.types.is_struct, table.schema.types)):
+        table = table.flatten()
+    return table
+
+
+def _unit_of(field: pa.Field) -> str:
+    """Return the unit in the metadata of a column; empty for none."""
+    stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
+    units = (stated[key] for key in (b"unit", b"units", b"uom") if key in stated)
+    return next(units, b"").decode(errors="replace")
 
 
 def _column(field: pa.Field, values: pa.Array) -> Column | None:
@@ -323,12 +334,8 @@ def _column(field: pa.Field, values: pa.Array) -> Column | None:
         return Column(field.name, (), "typed", kind.tz or "", keys)
     if not (log_cells.is_number(kind) or log_cells.is_text(kind) or pa.types.is_null(kind)):
         return None
-    stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
-    unit = next((stated[key] for key in (b"unit", b"units", b"uom") if key in stated), b"").decode(
-        errors="replace"
-    )
     cells = tuple(map(_text, values.to_pylist()))
-    return Column(field.name, cells, kind_of(cells), unit, keys)
+    return Column(field.name, cells, kind_of(cells), _unit_of(field), keys)
 
 
 def _text(cell: object) -> str:

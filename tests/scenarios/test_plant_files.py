@@ -1,11 +1,15 @@
-"""Files as plants write them: `init` finds what is right or asks, and the tables have it."""
+"""Files as plants write them: `init` finds what is right or asks, and the tables have it.
+
+Each table of cases is one question: the files of a plant, and what comes of them.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
+import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,35 +22,81 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.writer import Writer
 
-from pipeline.config import load_fleet
+from pipeline.config import MotorSpec, load_fleet
 from pipeline.demo import shipped_configs
-from tests.pipeline.ingest.mcap_files import JSON, mcap_bytes
 from tests.pipeline.simulated import Operation, operate
 from tests.scenarios.command import Result, run_command
 from tests.scenarios.covering import covers
-from tests.scenarios.fleets import Simulated, make_fleet
+from tests.scenarios.fleets import SEQUENTIAL, Simulated, make_fleet
 from tests.scenarios.published import table
 
 FIRST = dt.date(2026, 1, 2)
 NAMES = {
-    "pressure_difference": "dp_bar",
-    "oil_temperature": "oil_temp_degC",
-    "speed": "speed_rpm",
-    "leakage_flow": "drain_flow_lpm",
+    "dp_bar": "pressure_difference",
+    "oil_temp_degC": "oil_temperature",
+    "speed_rpm": "speed",
+    "drain_flow_lpm": "leakage_flow",
 }
-HEADER = ",".join(NAMES.values())
-QUICK = '\n[execution]\nbackend = "sequential"\n'
+CHANNELS = list(NAMES.values())
+ISO = "%Y-%m-%dT%H:%M:%SZ"
+DAY_FIRST, MONTH_FIRST = "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"
 MACHINE = ("motor_type=CB400", "oil=vg68", "time_zone=UTC")
+BAD = range(120, 300)  # rows of bad quality
+
+Files = Mapping[str, str | bytes]
+Edit = Callable[[int, list[Any]], list[Any]]
+"""Cells of a row by its number, in the order of the channels, as they are written."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A folder of logs, and the fleet that is proposed from them."""
+
+    folder: Path
+
+    def init(self, files: Files, *answers: str) -> Result:
+        """Write logs, propose a fleet of them with answers, and write it if nothing is open."""
+        for name, content in files.items():
+            path = self.folder / "logs" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        options = [word for answer in (*MACHINE, *answers) for word in ("--answer", answer)]
+        return self.run("init", "logs", "--to", "fleet", "--write", *options)
+
+    def run(self, command: str, *arguments: object) -> Result:
+        """Run a command, of the proposed fleet unless it is `init`."""
+        fleet = [] if command == "init" else ["fleet/fleet.toml"]
+        return run_command(command, *fleet, *arguments, folder=self.folder)
+
+    def check(self, *options: str) -> list[dict[str, Any]]:
+        """What `check` says of each motor."""
+        return self.run("check", "--json", *options).lines
+
+    def fit(self) -> Result:
+        """Fit the fleet, quickly."""
+        fleet = self.folder / "fleet" / "fleet.toml"
+        fleet.write_text(fleet.read_text("utf-8").rstrip() + "\n" + SEQUENTIAL, "utf-8")
+        return self.run("fit-fleet")
+
+    def table(self, name: str = "nights") -> pl.DataFrame:
+        """Return a published table."""
+        return table(self.folder / "fleet" / "out", name)
+
+    @property
+    def motors(self) -> tuple[MotorSpec, ...]:
+        """The motors that are proposed."""
+        return load_fleet(self.folder / "fleet" / "fleet.toml").motors
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Plant:
+    return Plant(tmp_path)
 
 
 @cache
 def operation(night: int, minutes: float = 12.0) -> tuple[Operation, dict[str, np.ndarray]]:
     """A night of a motor of type CB400 at 1 Hz, counted from 1, and what its sensors read."""
-    (spec,) = [
-        motor
-        for motor in load_fleet(shipped_configs() / "fleet.toml").motors
-        if motor.motor_id == "CB400-01"
-    ]
+    spec = load_fleet(shipped_configs() / "fleet.toml").motor("CB400-01")
     label = FIRST + dt.timedelta(days=night - 1)
     made = operate(label, minutes, seed=night)
     noise = np.random.default_rng(night).normal(0.0, 0.01, len(made.time_us))
@@ -54,308 +104,276 @@ def operation(night: int, minutes: float = 12.0) -> tuple[Operation, dict[str, n
     return made, {name: value.round(4) for name, value in made.channels(flow).items()}
 
 
-def stamps(night: int, form: str = "%Y-%m-%dT%H:%M:%SZ", minutes: float = 12.0) -> list[str]:
-    """Stamps of a night's rows."""
-    times = pl.Series(operation(night, minutes)[0].time_us).cast(pl.Datetime("us"))
-    return times.dt.strftime(form).to_list()
+def rows(
+    night: int = 1, form: str = ISO, edit: Edit = lambda _, row: row, minutes: float = 12.0
+) -> Iterator[tuple[str, list[str]]]:
+    """Stamp and cells of each row, in the order of the channels."""
+    made, values = operation(night, minutes)
+    stamps = pl.Series(made.time_us).cast(pl.Datetime("us")).dt.strftime(form)
+    cells = zip(*(values[channel].tolist() for channel in CHANNELS), strict=True)
+    for at, (stamp, row) in enumerate(zip(stamps, cells, strict=True)):
+        yield stamp, [str(cell) for cell in edit(at, list(row))]
 
 
-def rows(night: int, minutes: float = 12.0) -> list[tuple[float, ...]]:
-    """Readings of a night's rows, in the order of `NAMES`."""
-    return list(zip(*operation(night, minutes)[1].values(), strict=True))
+def wide(
+    night: int = 1,
+    form: str = ISO,
+    edit: Edit = lambda _, row: row,
+    names: Mapping[str, str] = NAMES,
+    minutes: float = 12.0,
+) -> str:
+    """A night as a table of CSV, of columns by the channels that they hold."""
+    places = [CHANNELS.index(channel) for channel in names.values()]
+    lines = [",".join(["time", *names])]
+    for stamp, row in rows(night, form, edit, minutes):
+        lines.append(",".join([stamp, *(row[place] for place in places)]))
+    return "\n".join([*lines, ""])
 
 
-def plain(night: int, form: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
-    """A night as a wide CSV."""
-    body = (
-        f"{time},{','.join(map(str, row))}\n"
-        for time, row in zip(stamps(night, form), rows(night), strict=True)
-    )
-    return f"time,{HEADER}\n{''.join(body)}"
+def factor(channel: str, by: float) -> Edit:
+    """Cells of a channel in another unit."""
+    at = CHANNELS.index(channel)
+    return lambda _, row: [cell * (by if place == at else 1.0) for place, cell in enumerate(row)]
 
 
-def write(folder: Path, name: str, content: str | bytes) -> None:
-    """Write a log into the folder of a plant's logs."""
-    path = folder / "logs" / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
+def constant(channel: str, value: object, where: Callable[[int], bool] = lambda _: True) -> Edit:
+    """Cells of a channel that are all alike in some rows."""
+    at = CHANNELS.index(channel)
+    return lambda number, row: [*row[:at], value, *row[at + 1 :]] if where(number) else row
 
 
-def init(folder: Path, *answers: str) -> Result:
-    """Propose a fleet of a plant's logs with answers, and write it if nothing is open."""
-    options = [word for answer in (*MACHINE, *answers) for word in ("--answer", answer)]
-    return run_command("init", "logs", "--to", "fleet", "--write", *options, folder=folder)
+# Quality: bad rows have half of the true values
 
 
-def fit(folder: Path) -> Result:
-    """Fit the fleet that was written, quickly."""
-    with (folder / "fleet" / "fleet.toml").open("a") as file:
-        file.write(QUICK)
-    return run_command("fit-fleet", "fleet/fleet.toml", folder=folder)
-
-
-def nights_of(folder: Path) -> pl.DataFrame:
-    """Published nights of the fleet."""
-    return table(folder / "fleet" / "out", "nights").sort("motor_id", "night")
-
-
-# Quality
-
-BAD = range(120, 300)
-Forms = Mapping[str, Callable[[], tuple[str, str | bytes]]]
+def halved(at: int, row: list[Any]) -> list[Any]:
+    return [cell / 2 for cell in row] if at in BAD else row
 
 
 def marked(good: str, bad: str) -> Iterator[tuple[str, list[str], str]]:
-    """Stamp, cells and code of each row; those of bad rows are half of the truth."""
-    for at, (time, row) in enumerate(zip(stamps(1), rows(1), strict=True)):
-        is_bad = at in BAD
-        yield time, [str(value / 2 if is_bad else value) for value in row], bad if is_bad else good
+    """Stamp, cells and code of each row."""
+    for at, (stamp, row) in enumerate(rows(edit=halved)):
+        yield stamp, row, bad if at in BAD else good
 
 
-def long(column: str, good: str, bad: str) -> Callable[[], tuple[str, str]]:
-    def text() -> tuple[str, str]:
-        lines = (
-            f"{time},W.{name},{cell},{code}\n"
-            for time, cells, code in marked(good, bad)
-            for name, cell in zip(NAMES.values(), cells, strict=True)
-        )
-        return "hist.csv", f"DateTime,TagName,Value,{column}\n{''.join(lines)}"
-
-    return text
+def long(column: str, good: str, bad: str) -> Files:
+    lines = (
+        f"{stamp},W.{name},{cell},{code}\n"
+        for stamp, row, code in marked(good, bad)
+        for name, cell in zip(NAMES, row, strict=True)
+    )
+    return {"hist.csv": f"DateTime,TagName,Value,{column}\n{''.join(lines)}"}
 
 
-def wide(value: str, quality: str, good: str, bad: str) -> Callable[[], tuple[str, str]]:
-    def text() -> tuple[str, str]:
-        names = [place.format(name) for name in NAMES.values() for place in (value, quality)]
-        lines = (
-            f"{time},{','.join(f'{cell},{code}' for cell in cells)}\n"
-            for time, cells, code in marked(good, bad)
-        )
-        return "hist.csv", f"time,{','.join(names)}\n{''.join(lines)}"
-
-    return text
+def beside() -> Files:
+    names = [name for source in NAMES for name in (f"W.{source}", f"W.{source}.Quality")]
+    lines = (
+        f"{stamp},{','.join(f'{cell},{code}' for cell in row)}\n"
+        for stamp, row, code in marked("192", "0")
+    )
+    return {"hist.csv": f"time,{','.join(names)}\n{''.join(lines)}"}
 
 
-def one_a_row() -> tuple[str, str]:
-    lines = (f"{time},{','.join(cells)},{code}\n" for time, cells, code in marked("Good", "Bad"))
-    return "hist.csv", f"time,{HEADER},Quality\n{''.join(lines)}"
-
-
-def numbers_in_parquet() -> tuple[str, bytes]:
-    cells = [
-        (time, f"W.{name}", float(cell), int(code))
-        for time, own, code in marked("192", "0")
-        for name, cell in zip(NAMES.values(), own, strict=True)
-    ]
+def parquet(columns: Mapping[str, Any]) -> bytes:
     sink = pa.BufferOutputStream()
-    columns = dict(zip(("ts", "tag", "value", "quality"), zip(*cells, strict=True), strict=True))
-    pq.write_table(pa.table({name: pa.array(column) for name, column in columns.items()}), sink)
-    return "hist.parquet", sink.getvalue().to_pybytes()
+    pq.write_table(pa.table(dict(columns)), sink)
+    return bytes(sink.getvalue())
 
 
-def json_messages() -> tuple[str, bytes]:
-    times = operation(1)[0].time_us.tolist()
-    messages = [
-        (
-            f"/w/{name}",
-            1000 * time,
-            json.dumps({"value": float(cell), "quality": int(code)}).encode(),
-        )
-        for time, (_, cells, code) in zip(times, marked("192", "0"), strict=True)
-        for name, cell in zip(NAMES.values(), cells, strict=True)
+def numbers_in_parquet() -> Files:
+    cells = [
+        (stamp, f"W.{name}", float(cell), int(code))
+        for stamp, row, code in marked("192", "0")
+        for name, cell in zip(NAMES, row, strict=True)
     ]
-    return "w.mcap", mcap_bytes(messages, JSON)
+    columns = zip(("ts", "tag", "value", "quality"), zip(*cells, strict=True), strict=True)
+    return {"hist.parquet": parquet(dict(columns))}
 
 
-QUALITIES: Forms = {
-    "OPC DA, a long table": long("Quality", "192", "0"),
-    "words, a long table": long("Quality", "Good", "Bad"),
-    "validity, a long table": long("Validity", "1", "0"),
-    "OPC UA, a long table": long("StatusCode", "0", "2147483648"),
-    "beside each column": wide("W.{}", "W.{}.Quality", "192", "0"),
-    "value beside quality": wide("W.{}.Value", "W.{}.Quality", "216", "64"),
-    "words with underscores": wide("W_{}_VALUE", "W_{}_QUALITY", "Good", "Bad"),
-    "validity beside each column": wide("W.{}", "W.{}.Validity", "1", "0"),
-    "before the name": wide("{}", "Quality_{}", "GOOD", "Uncertain"),
-    "one a row": one_a_row,
+def messages(
+    payload: Callable[[int, int, str], Mapping[str, Any]],
+    late_us: Callable[[int], int] = lambda _: 0,
+) -> bytes:
+    """MCAP of a topic a channel; a payload is made of a row's number, a channel's, and a cell."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    schema = writer.register_schema("Reading", "jsonschema", b'{"type": "object"}')
+    ids = [writer.register_channel(f"/w/{name}", "json", schema) for name in NAMES]
+    times = operation(1)[0].time_us.tolist()
+    for at, (time_us, (_, row)) in enumerate(zip(times, rows(edit=halved), strict=True)):
+        for channel, cell in enumerate(row):
+            data = json.dumps(payload(at, channel, cell)).encode()
+            writer.add_message(ids[channel], 1000 * (time_us + late_us(at)), data, 1000 * time_us)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def value(_at: int, _channel: int, cell: str) -> Mapping[str, Any]:
+    return {"value": float(cell)}
+
+
+def coded(at: int, _channel: int, cell: str) -> Mapping[str, Any]:
+    return {"value": float(cell), "quality": 0 if at in BAD else 192}
+
+
+QUALITIES: Mapping[str, Callable[[], Files]] = {
+    "a long table": lambda: long("StatusCode", "0", "2147483648"),
+    "beside each column": beside,
     "numbers in Parquet": numbers_in_parquet,
-    "messages": json_messages,
+    "messages": lambda: {"w.mcap": messages(coded)},
 }
 
 
 @pytest.mark.parametrize("form", QUALITIES)
-def test_rows_of_bad_quality_are_refused_without_a_question(form: str, tmp_path: Path) -> None:
-    write(tmp_path, *QUALITIES[form]())
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 0
-    refused = table(tmp_path / "fleet" / "out", "quality").filter(reason="bad_quality")
-    assert set(refused["channel"]) == set(NAMES)
-    assert refused["n_refused"].to_list() == [len(BAD)] * len(NAMES)
-    (night,) = nights_of(tmp_path).rows(named=True)
-    assert night["status"] == "ok"
-    true = np.delete(operation(1)[1]["leakage_flow"], BAD).mean()
-    assert night["mean_drain_flow_l_per_min"] == pytest.approx(true, rel=0.05)
+def test_rows_of_bad_quality_are_refused_without_a_question(form: str, plant: Plant) -> None:
+    assert plant.init(QUALITIES[form]()).code == 0
+    (motor,) = plant.check()
+    refused = {channel["refused_by"].get("bad_quality") for channel in motor["channels"]}
+    assert refused == {len(BAD) / 720}
+    assert [night["status"] for night in motor["forecast"]] == ["ok"]
 
 
-def test_codes_that_may_mean_either_are_asked(tmp_path: Path) -> None:
+def test_codes_that_may_mean_either_are_asked(plant: Plant) -> None:
     """0 is bad in OPC DA, and good in other systems."""
-    write(tmp_path, *long("Quality", "0", "1")())
-    asked = init(tmp_path)
+    files = long("Quality", "0", "1")
+    asked = plant.init(files)
     assert asked.code == 1
     assert "--answer 'good codes of quality=…'" in asked.out
-    assert init(tmp_path, "good codes of quality=0").code == 0
-    assert fit(tmp_path).code == 0
-    refused = table(tmp_path / "fleet" / "out", "quality").filter(reason="bad_quality")
+    assert plant.init(files, "good codes of quality=0").code == 0
+    assert plant.fit().code == 0
+    refused = plant.table("quality").filter(reason="bad_quality")
     assert refused["n_refused"].to_list() == [len(BAD)] * len(NAMES)
+    true = np.delete(operation(1)[1]["leakage_flow"], BAD).mean()
+    mean = plant.table()["mean_drain_flow_l_per_min"].to_list()
+    assert mean == [pytest.approx(true, rel=0.05)]
 
 
-def test_a_column_that_is_not_read_is_listed(tmp_path: Path) -> None:
-    write(tmp_path, *long("Quality", "0", "1")())
-    unused = init(tmp_path, "good codes of quality=none")
+def test_a_column_that_is_not_read_is_listed(plant: Plant) -> None:
+    unused = plant.init(long("Quality", "0", "1"), "good codes of quality=none")
     assert unused.code == 0
     assert "not used: Quality" in unused.out
-    notes = checked(tmp_path)["notes"]
-    assert sum("the log has its quality, Quality, which is not used" in note for note in notes) == 4
+    (motor,) = plant.check()
+    words = "the log has its quality, Quality, which is not used"
+    assert sum(words in note for note in motor["notes"]) == 4
 
 
-# Layouts
+# Layouts: names of one motor's logs of three nights, and the pattern that finds them
 
-
-@dataclass(frozen=True)
-class Layout:
-    """Names of one motor's logs, of nights from 1 on."""
-
-    names: Sequence[str]
-    pattern: str
-    answers: Sequence[str] = ()
-    nights: Sequence[int] = field(default=(1, 2, 3))
-
-
-LAYOUTS = {
-    "day first": Layout([f"w_0{day}.01.2026.csv" for day in (1, 2, 3)], "w_*.csv"),
-    "single digits": Layout([f"w_2026-1-{day}.csv" for day in (1, 2, 3)], "w_*.csv"),
-    "names of months": Layout([f"w_0{day}Jan2026.csv" for day in (1, 2, 3)], "w_*.csv"),
-    "two-digit years": Layout([f"w_26-01-0{day}.csv" for day in (1, 2, 3)], "w_*.csv"),
-    "weeks": Layout([f"w_KW01_{day}.csv" for day in ("Thu", "Fri", "Sat")], "w_*.csv"),
-    "months": Layout(
-        [f"w_2026-0{month}.csv" for month in (1, 2, 3)], "w_*.csv", nights=(1, 32, 60)
-    ),
-    "folders of a year": Layout([f"2026/01/0{day}/w.csv" for day in (1, 2, 3)], "*/*/*/w.csv"),
-    "days in folders of months": Layout([f"2026/01/0{day}.csv" for day in (1, 2, 3)], "*/*/*.csv"),
-    "folders of days": Layout([f"W1/2026-01-0{day}/W1.csv" for day in (1, 2, 3)], "W1/*/W1.csv"),
-    "Hive": Layout(
+LAYOUTS: Mapping[str, tuple[Sequence[str], str]] = {
+    "day first": ([f"w_0{day}.01.2026.csv" for day in (1, 2, 3)], "w_*.csv"),
+    "single digits": ([f"w_2026-1-{day}.csv" for day in (1, 2, 3)], "w_*.csv"),
+    "names of months": ([f"w_0{day}Jan2026.csv" for day in (1, 2, 3)], "w_*.csv"),
+    "two-digit years": ([f"w_26-01-0{day}.csv" for day in (1, 2, 3)], "w_*.csv"),
+    "weeks": ([f"w_KW01_{day}.csv" for day in ("Thu", "Fri", "Sat")], "w_*.csv"),
+    "months": ([f"w_2026-0{month}.csv" for month in (1, 2, 3)], "w_*.csv"),
+    "folders of a year": ([f"2026/01/0{day}/w.csv" for day in (1, 2, 3)], "*/*/*/w.csv"),
+    "days in months": ([f"2026/01/0{day}.csv" for day in (1, 2, 3)], "*/*/*.csv"),
+    "folders of days": ([f"W1/2026-01-0{day}/W1.csv" for day in (1, 2, 3)], "W1/*/W1.csv"),
+    "Hive": (
         [f"year=2026/month=1/day={day}/part-0.csv" for day in (1, 2, 3)],
         "year=*/month=*/day=*/*.csv",
     ),
-    "Spark": Layout(
-        [f"dt=2026-01-0{n}/part-0000{n}-8d1f-c000.csv" for n in (1, 2, 3)], "dt=*/*.csv"
-    ),
-    "counts": Layout([f"Datalog{number}.csv" for number in (0, 1, 2)], "Datalog*.csv"),
-    "copies": Layout(["Export.csv", "Export (1).csv", "Export (2).csv"], "Export*.csv"),
-    "parts of a bag": Layout(
-        [f"shift/shift_{number}.csv" for number in (0, 1, 2)], "shift/shift_*.csv"
-    ),
-    "ids": Layout([f"{number}f3c9a1b7d2e.csv" for number in (1, 2, 3)], "*.csv"),
-    "a word that may name motors": Layout(
-        [f"winch{number}.csv" for number in (1, 2, 3)], "winch*.csv", ["motors of winch*.csv=one"]
-    ),
+    "Spark": ([f"dt=2026-01-0{n}/part-0000{n}-8d1f-c000.csv" for n in (1, 2, 3)], "dt=*/*.csv"),
+    "counts": ([f"Datalog{number}.csv" for number in (0, 1, 2)], "Datalog*.csv"),
+    "copies": (["Export.csv", "Export (1).csv", "Export (2).csv"], "Export*.csv"),
+    "parts of a bag": ([f"shift/shift_{number}.csv" for number in (0, 1, 2)], "shift/shift_*.csv"),
+    "ids": ([f"{number}f3c9a1b7d2e.csv" for number in (1, 2, 3)], "*.csv"),
+    "a word that may name motors": ([f"winch{n}.csv" for n in (1, 2, 3)], "winch*.csv"),
 }
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_logs_of_one_motor_are_one_motor_s(layout: str, tmp_path: Path) -> None:
-    case = LAYOUTS[layout]
-    for name, night in zip(case.names, case.nights, strict=True):
-        write(tmp_path, name, plain(night))
-    if case.answers:
-        asked = init(tmp_path)
-        assert asked.code == 1
-        assert f"--answer '{case.answers[0].partition('=')[0]}=…'" in asked.out
-    assert init(tmp_path, *case.answers).code == 0
-    (spec,) = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
-    assert spec.file.logs.files == (case.pattern,)
-    (checked,) = run_command("check", "fleet/fleet.toml", "--json", folder=tmp_path).lines
-    assert (checked["n_files"], checked["n_nights"], checked["faults"]) == (3, 3, [])
+def test_logs_of_one_motor_are_one_motor_s(layout: str, plant: Plant) -> None:
+    names, pattern = LAYOUTS[layout]
+    nights = (1, 32, 60) if layout == "months" else (1, 2, 3)
+    files = {name: wide(night) for name, night in zip(names, nights, strict=True)}
+    proposed = plant.init(files)
+    if "may" in layout:
+        assert proposed.code == 1
+        assert f"--answer 'motors of {pattern}=…'" in proposed.out
+        proposed = plant.init(files, f"motors of {pattern}=one")
+    assert proposed.code == 0
+    (spec,) = plant.motors
+    assert spec.file.logs.files == (pattern,)
+    (motor,) = plant.check()
+    assert (motor["n_files"], motor["n_nights"], motor["faults"]) == (3, 3, [])
 
 
-def test_logs_of_the_same_time_are_of_several_motors(tmp_path: Path) -> None:
-    for number in (1, 2, 3):
-        write(tmp_path, f"Datalog{number}.csv", plain(1))
-    assert init(tmp_path).code == 0
-    motors = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
-    assert [spec.motor_id for spec in motors] == ["Datalog1", "Datalog2", "Datalog3"]
+def test_logs_of_the_same_time_are_of_several_motors(plant: Plant) -> None:
+    assert plant.init({f"Datalog{number}.csv": wide() for number in (1, 2, 3)}).code == 0
+    assert [spec.motor_id for spec in plant.motors] == ["Datalog1", "Datalog2", "Datalog3"]
 
 
 @pytest.mark.parametrize("has_checkpoint", [False, True])
 def test_files_that_a_delta_table_has_removed_are_not_read(
-    has_checkpoint: bool, tmp_path: Path
+    has_checkpoint: bool, plant: Plant
 ) -> None:
     """An update wrote a file anew, with a flow of another unit before."""
-    old, new = (f"part-0000{number}-8d1f-c000.snappy.parquet" for number in (0, 1))
     made, values = operation(1)
-    time = pa.array(made.time_us, pa.timestamp("us", "UTC"))
-    for name, factor in ((old, 60.0), (new, 1.0)):
-        columns = {NAMES[channel]: pa.array(value) for channel, value in values.items()}
-        columns["drain_flow_lpm"] = pa.array(values["leakage_flow"] * factor)
-        write(tmp_path, name, b"")
-        pq.write_table(pa.table({"time": time} | columns), tmp_path / "logs" / name)
+    columns = {"time": pa.array(made.time_us, pa.timestamp("us", "UTC"))}
+    columns |= {name: pa.array(values[channel]) for name, channel in NAMES.items()}
+    wrong = columns | {"drain_flow_lpm": pa.array(60.0 * values["leakage_flow"])}
+    old, new = (f"part-0000{number}-8d1f-c000.snappy.parquet" for number in (0, 1))
     versions = [[{"add": {"path": old}}], [{"remove": {"path": old}}, {"add": {"path": new}}]]
-    for number, actions in enumerate(versions):
-        lines = "\n".join(map(json.dumps, actions))
-        write(tmp_path, f"_delta_log/{number:020}.json", lines)
+    files: dict[str, str | bytes] = {old: parquet(wrong), new: parquet(columns)}
+    files |= {
+        f"_delta_log/{number:020}.json": "\n".join(map(json.dumps, actions))
+        for number, actions in enumerate(versions)
+    }
     if has_checkpoint:
-        first = tmp_path / "logs" / "_delta_log" / f"{0:020}.checkpoint.parquet"
-        pq.write_table(pa.table({"add": [{"path": old}]}), first)
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 0
-    (night,) = nights_of(tmp_path).rows(named=True)
-    true = values["leakage_flow"].mean()
-    assert night["mean_drain_flow_l_per_min"] == pytest.approx(true, rel=0.02)
+        first = parquet({"add": [{"path": old}]})
+        files[f"_delta_log/{0:020}.checkpoint.parquet"] = first
+    assert plant.init(files).code == 0
+    (motor,) = plant.check()
+    assert (motor["n_files"], motor["faults"]) == (1, [])
+    flow = motor["channels"][-1]
+    assert flow["median"] == pytest.approx(np.median(values["leakage_flow"]), rel=0.02)
 
 
-# Sessions and silences
+# Sampling: sessions, and values that are sent on change
 
 
-def test_silence_between_sessions_is_no_loss(tmp_path: Path) -> None:
+def sessions() -> str:
     """The logger records while the machine runs; the temperature every half minute."""
     times = pl.Series(operation(1, 40.0)[0].time_us)
     pauses = pl.Series(np.arange(len(times)) // 480 * 3600 * 10**6)
-    stamp = (times + pauses).cast(pl.Datetime("us")).dt.strftime("%Y-%m-%d %H:%M:%SZ")
-    lines = [
-        f"{time},{p},{t if at % 30 == 0 else ''},{n},{q}\n"
-        for at, (time, (p, t, n, q)) in enumerate(zip(stamp, rows(1, 40.0), strict=True))
-    ]
-    write(tmp_path, "w_2026-01-02.csv", f"time,{HEADER}\n{''.join(lines)}")
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 0
-    (night,) = nights_of(tmp_path).rows(named=True)
-    assert night["status"] == "ok"
-    assert night["kept_percent"] > 90.0
-    assert night["logged_hours"] == pytest.approx(40 / 60, rel=0.05)
+    stamps = (times + pauses).cast(pl.Datetime("us")).dt.strftime("%Y-%m-%d %H:%M:%SZ")
+    lines = wide(edit=constant("oil_temperature", "", lambda at: at % 30 > 0), minutes=40.0)
+    head, *rest = lines.splitlines()
+    shifted = (f"{at},{line.partition(',')[2]}" for at, line in zip(stamps, rest, strict=True))
+    return "\n".join([head, *shifted, ""])
 
 
-@pytest.mark.parametrize("layout", ["wide", "long"])
-def test_values_that_are_sent_on_change_are_proposed_as_such(layout: str, tmp_path: Path) -> None:
+def on_change(*, is_long: bool) -> str:
     """A temperature is written when it has changed by 0.2 °C."""
     lines, sent = [], -100.0
-    for time, row in zip(stamps(1, minutes=40.0), rows(1, 40.0), strict=True):
-        cells = dict(zip(NAMES.values(), map(str, row), strict=True))
-        if abs(row[1] - sent) < 0.2:
-            cells["oil_temp_degC"] = ""
-        sent = sent if cells["oil_temp_degC"] == "" else row[1]
-        if layout == "wide":
-            lines.append(f"{time},{','.join(cells.values())}\n")
+    for stamp, row in rows(minutes=40.0):
+        if abs(float(row[1]) - sent) < 0.2:
+            row[1] = ""
         else:
-            lines += [f"{time},W.{name},{cell}\n" for name, cell in cells.items() if cell]
-    header = f"time,{HEADER}" if layout == "wide" else "time,tag,value"
-    write(tmp_path, "w_2026-01-02.csv", f"{header}\n{''.join(lines)}")
-    proposed = init(tmp_path)
+            sent = float(row[1])
+        cells = zip(NAMES, row, strict=True)
+        tags = [f"{stamp},W.{name},{cell}" for name, cell in cells if cell]
+        lines += tags if is_long else [",".join([stamp, *row])]
+    return "\n".join(["time,tag,value" if is_long else ",".join(["time", *NAMES]), *lines, ""])
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        pytest.param(sessions, "", id="sessions"),
+        pytest.param(lambda: on_change(is_long=False), "oil_temperature is sent", id="wide"),
+        pytest.param(lambda: on_change(is_long=True), "oil_temperature is sent", id="long"),
+    ],
+)
+def test_silence_is_no_loss(log: Callable[[], str], words: str, plant: Plant) -> None:
+    proposed = plant.init({"w_2026-01-02.csv": log()})
     assert proposed.code == 0
-    assert "oil_temperature is sent on change" in proposed.out
-    assert fit(tmp_path).code == 0
-    (night,) = nights_of(tmp_path).rows(named=True)
-    assert night["status"] == "ok"
-    assert night["kept_percent"] > 90.0
+    assert words in proposed.out
+    assert plant.fit().code == 0
+    (night,) = plant.table().rows(named=True)
+    assert (night["status"], night["kept_percent"] > 90.0) == ("ok", True)
+    assert night["logged_hours"] == pytest.approx(40 / 60, rel=0.05)
     true = operation(1, 40.0)[1]["oil_temperature"].mean()
     assert night["mean_temperature_c"] == pytest.approx(true, abs=0.3)
 
@@ -368,157 +386,149 @@ ANNOTATIONS = (
     "string,string\n#default,_result,,,,,,,,\n"
 )
 ANNOTATED = ",result,table,_start,_stop,_time,_value,_field,_measurement,asset\n"
-SPAN = "2026-01-01T00:00:00Z,2026-01-03T00:00:00Z"
+ROW = ",,0,2026-01-01T00:00:00Z,2026-01-03T00:00:00Z,{time},{value},{field},hyd,{motor}\n"
 # A field's rows stand together: names of the first rows are all alike. Marks before each field's
 # table, the names of the columns, and a row.
 INFLUX = {
-    "annotated": (ANNOTATIONS, ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
-    "not annotated": ("", ANNOTATED, ",,0,{span},{time},{value},{field},hyd,{motor}\n"),
+    "annotated": (ANNOTATIONS, ANNOTATED, ROW),
+    "not annotated": ("", ANNOTATED, ROW),
     "plain": ("", "name,time,asset,field,value\n", "hyd,{time},{motor},{field},{value}\n"),
     "in fields": ("", "result,_time,_value,_field\n", "r,{time},{value},{motor}_{field}\n"),
 }
 
 
 @pytest.mark.parametrize("form", INFLUX)
-def test_long_tables_of_influx(form: str, tmp_path: Path) -> None:
-    marks, head, row = INFLUX[form]
+def test_long_tables_of_influx(form: str, plant: Plant) -> None:
+    marks, head, line = INFLUX[form]
     lines = [] if marks else [head]
     for motor in ("W1", "W2"):
-        for at, field_name in enumerate(NAMES.values()):
+        for at, name in enumerate(NAMES):
             lines += [marks + head] if marks else []
             lines += [
-                row.format(span=SPAN, time=time, value=own[at], field=field_name, motor=motor)
-                for time, own in zip(stamps(1), rows(1), strict=True)
+                line.format(time=stamp, value=row[at], field=name, motor=motor)
+                for stamp, row in rows()
             ]
             lines += ["\n"] if marks else []
-    write(tmp_path, "export_2026-01-01.csv", "".join(lines))
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 0
-    nights = nights_of(tmp_path)
-    assert nights["motor_id"].to_list() == ["W1", "W2"]
-    assert nights["status"].to_list() == ["ok", "ok"]
+    assert plant.init({"export_2026-01-01.csv": "".join(lines)}).code == 0
+    motors = plant.check()
+    assert [motor["motor_id"] for motor in motors] == ["W1", "W2"]
+    assert {night["status"] for motor in motors for night in motor["forecast"]} == {"ok"}
 
 
 # What `check` says
 
 
-def checked(folder: Path, *options: str) -> dict[str, Any]:
-    """What `check` says of the one motor."""
-    (motor,) = run_command("check", "fleet/fleet.toml", "--json", *options, folder=folder).lines
-    return motor
-
-
-def codes(motor: dict[str, Any]) -> set[str]:
-    """Codes of the faults of a motor."""
-    return {fault.partition(":")[0] for fault in motor["faults"]}
-
-
 @covers("check --json --full")
-def test_the_forecast_is_what_the_run_does(tmp_path: Path) -> None:
+def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
     """Of four nights one is short, one stands still, and one reads one temperature for ever."""
-    texts = {night: plain(night).splitlines(keepends=True) for night in (1, 2, 3, 4)}
-    texts[2] = texts[2][:200]
-    texts[3] = [texts[3][0], *(_with(line, 2, "0.0") for line in texts[3][1:])]
-    texts[4] = [texts[4][0], *(_with(line, 1, "48.0") for line in texts[4][1:])]
-    for night, lines in texts.items():
-        write(tmp_path, f"w_2026-01-0{night}.csv", "".join(lines))
-    assert init(tmp_path).code == 0
-    forecast = checked(tmp_path, "--full")["forecast"]
-    fit(tmp_path)
-    nights = nights_of(tmp_path).rows(named=True)
-    assert [(one["night"], one["status"], one["reason"]) for one in forecast] == [
-        (str(night["night"]), night["status"], night["reason"] or "") for night in nights
+    nights = {
+        1: wide(1),
+        2: "".join(wide(2).splitlines(keepends=True)[:200]),
+        3: wide(3, edit=constant("speed", 0.0)),
+        4: wide(4, edit=constant("oil_temperature", 48.0)),
+    }
+    files = {f"w_2026-01-0{night}.csv": text for night, text in nights.items()}
+    assert plant.init(files).code == 0
+    (motor,) = plant.check("--full")
+    plant.fit()
+    fitted = plant.table().rows(named=True)
+    forecast = [(night["night"], night["status"], night["reason"]) for night in motor["forecast"]]
+    assert forecast == [
+        (str(night["night"]), night["status"], night["reason"] or "") for night in fitted
     ]
-    assert {night["status"] for night in nights} == {"ok", "insufficient_data", "stood_still"}
+    assert {night["status"] for night in fitted} == {"ok", "insufficient_data", "stood_still"}
 
 
-def _with(line: str, at: int, cell: str) -> str:
-    cells = line.split(",")
-    cells[at + 1] = cell
-    return ",".join(cells)
+def negative(at: int, row: list[Any]) -> list[Any]:
+    """A motor that runs backwards from its half on, written with the sign of Unicode."""
+    pressure, temperature, speed, flow = row
+    turned = [f"\N{MINUS SIGN}{pressure}", temperature, f"\N{MINUS SIGN}{speed}", flow]
+    return row if at < 360 else turned
 
 
-@pytest.mark.parametrize(
-    ("form", "minutes", "code", "words"),
-    [
-        ("%Y-%m-%d %H:%MZ", 12.0, "samples_refused", "as duplicate_time: do its stamps lack"),
-        ("%Y-%m-%d %H:%M:%SZ", 4.0, "no_night", "of 1 night none would be fitted"),
-    ],
-)
-def test_a_log_that_gives_no_fit_is_a_fault(
-    form: str, minutes: float, code: str, words: str, tmp_path: Path
-) -> None:
-    lines = plain(1, form).splitlines(keepends=True)
-    write(tmp_path, "w_2026-01-01.csv", "".join(lines[: 1 + round(60 * minutes)]))
-    assert init(tmp_path).code == 0
-    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
-    assert found.code == 1
-    assert f"w: {code}: " in found.err
-    assert words in found.err
+# A log, the code of the fault that it is, and words of the fault.
+CHECKED: Mapping[str, tuple[Callable[[], str], str, str]] = {
+    "without seconds": (lambda: wide(form="%Y-%m-%d %H:%MZ"), "samples_refused", "stamps lack"),
+    "short": (
+        lambda: "".join(wide().splitlines(keepends=True)[:241]),
+        "no_night",
+        "of 1 night none would be fitted",
+    ),
+    "a flow of no reading": (
+        lambda: wide(edit=constant("leakage_flow", 65.535, lambda at: at % 150 < 5)),
+        "extreme_repeated",
+        "valid_range = [0,",
+    ),
+    "a temperature of none": (
+        lambda: wide(edit=constant("oil_temperature", 85.0, lambda at: at % 150 < 5)),
+        "extreme_repeated",
+        "valid_range = [-40,",
+    ),
+    "minus signs": (lambda: wide(edit=negative), "", ""),
+}
+
+
+@pytest.mark.parametrize("log", CHECKED)
+def test_what_is_wrong_with_a_log_is_named(log: str, plant: Plant) -> None:
+    text, code, words = CHECKED[log]
+    assert plant.init({"w_2026-01-01.csv": text()}).code == 0
+    ended = plant.run("check", "--json")
+    assert ended.code == int(bool(code))
+    (motor,) = ended.lines
+    assert {fault.partition(":")[0] for fault in motor["faults"]} == ({code} if code else set())
+    assert all(words in fault for fault in motor["faults"])
+    if not code:
+        assert {channel["share_missing"] for channel in motor["channels"]} == {0.0}
+    jumps = any("oil_temperature jumps" in note for note in motor["notes"])
+    assert jumps == ("temperature" in log)
 
 
 @covers("check")
-def test_on_its_first_day_a_motor_has_no_fault(tmp_path: Path) -> None:
+def test_on_its_first_day_a_motor_has_no_fault(plant: Plant) -> None:
     """Four minutes of a log so far: too few for a fit, and nothing to mend; a day later it is."""
     began = dt.datetime.now(dt.UTC) - dt.timedelta(minutes=5)
-    lines = plain(1).splitlines(keepends=True)[: 1 + 4 * 60]
-    so_far = [
-        f"{began + dt.timedelta(seconds=second):%Y-%m-%dT%H:%M:%SZ}{line[20:]}"
-        for second, line in enumerate(lines[1:])
-    ]
-    write(tmp_path, "w.csv", "".join((lines[0], *so_far)))
-    assert init(tmp_path).code == 0
-    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
-    assert (found.code, "no_night: of 1 night none would be fitted" in found.out) == (0, True)
-    yesterday = began - dt.timedelta(days=1)
-    text = (
-        (tmp_path / "logs" / "w.csv").read_text().replace(str(began.date()), str(yesterday.date()))
-    )
-    write(tmp_path, "w.csv", text)
-    assert run_command("check", "fleet/fleet.toml", folder=tmp_path).code == 1
+    head, *lines = wide().splitlines()[: 1 + 4 * 60]
+
+    def since(begin: dt.datetime) -> Files:
+        stamps = (begin + dt.timedelta(seconds=second) for second in range(len(lines)))
+        cells = (line[20:] for line in lines)
+        shifted = (f"{stamp:{ISO}}{row}" for stamp, row in zip(stamps, cells, strict=True))
+        return {"w.csv": "\n".join([head, *shifted, ""])}
+
+    assert plant.init(since(began)).code == 0
+    ended = plant.run("check")
+    assert (ended.code, "no_night: of 1 night none would be fitted" in ended.out) == (0, True)
+    (plant.folder / "logs" / "w.csv").write_text(str(since(began - dt.timedelta(days=1))["w.csv"]))
+    assert plant.run("check").code == 1
 
 
-def test_a_motor_without_a_log_is_a_fault(tmp_path: Path) -> None:
-    for name in ("A", "B"):
-        write(tmp_path, f"{name}/{name}_2026-01-01.csv", plain(1))
-    assert init(tmp_path).code == 0
-    (tmp_path / "logs" / "B" / "B_2026-01-01.csv").unlink()
-    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
-    assert found.code == 1
-    assert "B: no_logs" in found.err
+def test_a_motor_without_a_log_is_a_fault(plant: Plant) -> None:
+    logs = {f"{name}/{name}_2026-01-01.csv": wide() for name in ("A", "B")}
+    assert plant.init(logs, "B.motor_type=CB1120").code == 0
+    types = {spec.motor_id: spec.file.motor_type for spec in plant.motors}
+    assert types == {"A": "CB400", "B": "CB1120"}
+    (plant.folder / "logs" / "B" / "B_2026-01-01.csv").unlink()
+    ended = plant.run("check")
+    assert ended.code == 1
+    assert "B: no_logs" in ended.err
 
 
-@pytest.mark.parametrize(
-    ("at", "value", "limit"), [(3, 65.535, "valid_range = [0,"), (1, 85.0, "valid_range = [-40,")]
-)
-def test_what_a_device_writes_for_no_reading_is_named(
-    at: int, value: float, limit: str, tmp_path: Path
-) -> None:
-    head, *lines = plain(1).splitlines()
-    marked = [_with(line, at, str(value)) if n % 150 < 5 else line for n, line in enumerate(lines)]
-    write(tmp_path, "w_2026-01-01.csv", "\n".join([head, *marked, ""]))
-    assert init(tmp_path).code == 0
-    motor = checked(tmp_path)
-    assert codes(motor) == {"extreme_repeated"}
-    jumps = [note for note in motor["notes"] if "oil_temperature jumps" in note]
-    assert len(jumps) == (at == 1)
-    assert limit in motor["faults"][0]
-
-
-def test_a_log_whose_name_contradicts_its_stamps_is_refused(tmp_path: Path) -> None:
+def test_a_log_whose_name_contradicts_its_stamps_is_refused(plant: Plant) -> None:
     """In one of four logs the month comes first: its night would be another one."""
-    for night in (1, 2, 3, 4):
-        form = "%m/%d/%Y %H:%M:%S" if night == 3 else "%d/%m/%Y %H:%M:%S"
-        write(tmp_path, f"W/W_2026-01-0{night}.csv", plain(night, form))
-        write(tmp_path, f"V/V_2026-01-0{night}.csv", plain(night, "%d/%m/%Y %H:%M:%S"))
-    assert init(tmp_path, "time_format=%d/%m/%Y %H:%M:%S").code == 0
-    found = run_command("check", "fleet/fleet.toml", folder=tmp_path)
-    assert found.code == 1
-    assert "W: log_misdated" in found.err
-    assert "V: " not in found.err
-    assert fit(tmp_path).code == 1
-    nights = nights_of(tmp_path)
-    assert set(nights["night"].dt.year().to_list()) == {2026}
+    files = {
+        f"{motor}/{motor}_2026-01-0{night}.csv": wide(
+            night, MONTH_FIRST if (motor, night) == ("W", 3) else DAY_FIRST
+        )
+        for motor in "VW"
+        for night in (1, 2, 3, 4)
+    }
+    assert plant.init(files, f"time_format={DAY_FIRST}").code == 0
+    ended = plant.run("check")
+    assert ended.code == 1
+    assert "W: log_misdated" in ended.err
+    assert "V: " not in ended.err
+    assert plant.fit().code == 1
+    nights = plant.table()
     assert nights.filter(motor_id="V")["status"].to_list() == ["ok"] * 4
     w = dict(nights.filter(motor_id="W").select("night", "status").iter_rows())
     assert list(w.values()).count("ok") == 3
@@ -527,115 +537,27 @@ def test_a_log_whose_name_contradicts_its_stamps_is_refused(tmp_path: Path) -> N
 
 # What `init` asks
 
-
-def columns_csv(names: Mapping[str, str], night: int = 1, still: int = 0) -> str:
-    """A night as a wide CSV under names by channel; the motor stands still at first."""
-    at = [list(NAMES).index(channel) for channel in names.values()]
-    lines = []
-    for number, (time, row) in enumerate(zip(stamps(night), rows(night), strict=True)):
-        cells = [0.02 if place == 2 and number < still else row[place] for place in at]
-        lines.append(f"{time},{','.join(map(str, cells))}\n")
-    return f"time,{','.join(names)}\n{''.join(lines)}"
+DRAIN = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), CHANNELS, strict=True))
 
 
-def channels_of(folder: Path) -> dict[str, dict[str, tuple[str, str]]]:
-    """Source and unit of each channel, by motor."""
-    motors = load_fleet(folder / "fleet" / "fleet.toml").motors
-    return {
-        spec.motor_id: {
-            str(name): (channel.source, channel.unit)
-            for name, channel in spec.file.channels.items()
-        }
-        for spec in motors
-    }
-
-
-def test_a_unit_is_judged_while_the_motor_runs_and_its_question_stays(tmp_path: Path) -> None:
-    names = dict(zip(("dp_bar", "T_degC", "speed", "drain_lpm"), NAMES, strict=True))
-    write(tmp_path, "w_2026-01-01.csv", columns_csv(names, still=200))
-    for answers in ((), ("motor_type=CB560",)):
-        asked = init(tmp_path, *answers)
-        assert asked.code == 1
-        assert "--answer 'unit of speed=…'" in asked.out
-        assert "(rpm, " in asked.out
-    assert init(tmp_path, "unit of speed=rpm").code == 0
-    assert channels_of(tmp_path)["w"]["speed"] == ("speed", "rpm")
-
-
-def test_one_answer_is_for_logs_that_are_alike(tmp_path: Path) -> None:
-    """Of two motors one logs its drain flow in another unit under the same name."""
-    names = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), NAMES, strict=True))
-    write(tmp_path, "A/a_2026-01-01.csv", columns_csv(names))
-    head, *lines = columns_csv(names).splitlines()
-    lines = [_with(line, 3, str(float(line.split(",")[-1]) * 0.06)) for line in lines]
-    write(tmp_path, "B/b_2026-01-01.csv", "\n".join([head, *lines, ""]))
-    asked = init(tmp_path, "unit of drain=l/min")
-    assert asked.code == 1
-    assert "--answer 'unit of drain in B=…'" in asked.out
-    assert init(tmp_path, "unit of drain=l/min", "unit of drain in B=m3/h").code == 0
-    units = {motor: own["leakage_flow"][1] for motor, own in channels_of(tmp_path).items()}
-    assert units == {"A": "l/min", "B": "m3/h"}
-
-
-def test_a_thermometer_of_the_tank_is_every_motor_s(tmp_path: Path) -> None:
-    own = {"dp_bar": "pressure_difference", "n_rpm": "speed", "drain_lpm": "leakage_flow"}
-    names = {f"W{n}.{name}": channel for n in (1, 2) for name, channel in own.items()}
-    names |= {"Tank.OilTemp_degC": "oil_temperature"}
-    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
-    assert init(tmp_path).code == 0
-    found = channels_of(tmp_path)
-    assert {one["oil_temperature"] for one in found.values()} == {("Tank.OilTemp_degC", "degC")}
-    assert {one["speed"] for one in found.values()} == {("W1.n_rpm", "rpm"), ("W2.n_rpm", "rpm")}
-
-
-def test_tags_of_a_motor_may_be_joined_by_different_marks(tmp_path: Path) -> None:
-    names = {
-        f"SHR1{mark}M{n}{mark}{name}": channel
-        for n in (1, 2)
-        for mark, name, channel in (
-            (".", "DP_bar", "pressure_difference"),
-            (".", "OilTemp_degC", "oil_temperature"),
-            (".", "Speed_rpm", "speed"),
-            ("_", "CaseFlow_lpm", "leakage_flow"),
-        )
-    }
-    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
-    assert init(tmp_path).code == 0
-    flows = {motor: one["leakage_flow"][0] for motor, one in channels_of(tmp_path).items()}
-    assert flows == {
-        "SHR1.M1": "SHR1_M1_CaseFlow_lpm",
-        "SHR1.M2": "SHR1_M2_CaseFlow_lpm",
-    }
-
-
-def test_a_motor_may_be_of_a_type_of_its_own(tmp_path: Path) -> None:
-    for name in ("A", "B"):
-        write(tmp_path, f"{name}/{name}_2026-01-01.csv", plain(1))
-    assert init(tmp_path, "B.motor_type=CB1120").code == 0
-    motors = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
-    types = {spec.motor_id: spec.file.motor_type for spec in motors}
-    assert types == {"A": "CB400", "B": "CB1120"}
-
-
-def test_answers_that_nobody_asks_for_are_named_or_refused(tmp_path: Path) -> None:
-    write(tmp_path, "w_2026-01-01.csv", plain(1))
-    refused = init(tmp_path, "w.leakage_flo=drain_flow_lpm")
+def test_answers_that_nobody_asks_for_are_named_or_refused(plant: Plant) -> None:
+    refused = plant.init({"w_2026-01-01.csv": wide()}, "w.leakage_flo=drain_flow_lpm")
     assert refused.code == 2
     assert "did you mean 'w.leakage_flow'?" in refused.err
-    done = init(tmp_path)
+    done = plant.init({}, "w.motor_type=CB1120")
     assert done.code == 0
     assert "not needed: the answer time_zone" in done.out
+    assert [spec.file.motor_type for spec in plant.motors] == ["CB1120"]
 
 
-def test_what_is_typed_is_shown_as_an_answer_for_the_next_time(tmp_path: Path) -> None:
-    names = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), NAMES, strict=True))
-    write(tmp_path, "w_2026-01-01.csv", columns_csv(names))
-    typed = ["l/min", "CB400", "vg68"]
+def test_what_is_typed_is_shown_as_an_answer_for_the_next_time(plant: Plant) -> None:
+    asked = plant.init({"w_2026-01-01.csv": wide(names=DRAIN)})
+    assert asked.code == 1
     with (
         patch("sys.stdin.isatty", return_value=True),
-        patch("typer.prompt", side_effect=typed),
+        patch("typer.prompt", side_effect=["l/min", "CB400", "vg68"]),
     ):
-        done = run_command("init", "logs", "--to", "fleet", folder=tmp_path)
+        done = plant.run("init", "logs", "--to", "fleet")
     assert done.code == 0
     assert done.err.splitlines() == [
         "--answer 'unit of drain=l/min'",
@@ -644,176 +566,92 @@ def test_what_is_typed_is_shown_as_an_answer_for_the_next_time(tmp_path: Path) -
     ]
 
 
-def test_names_tell_day_from_month(tmp_path: Path) -> None:
-    for night in (1, 2, 3):
-        write(tmp_path, f"w_2026-01-0{night}.csv", plain(night, "%d/%m/%Y %H:%M:%S"))
-    assert init(tmp_path).code == 0
-    (spec,) = load_fleet(tmp_path / "fleet" / "fleet.toml").motors
-    assert spec.file.logs.time_format == "%d/%m/%Y %H:%M:%S"
-
-
-@pytest.mark.parametrize("place", ["metadata", "schema"])
-def test_units_that_messages_state_are_not_asked(place: str, tmp_path: Path) -> None:
-    units = dict(
-        zip(
-            ("dp", "temperature", "speed", "drain_flow"),
-            ("bar", "degC", "rpm", "l/min"),
-            strict=True,
-        )
-    )
-    with (tmp_path / "w.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for at, (name, unit) in enumerate(units.items()):
-            value = {"type": "number"} | ({"unit": unit} if place == "schema" else {})
-            schema = {"type": "object", "properties": {"value": value}}
-            number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-            metadata = {"unit": unit} if place == "metadata" else {}
-            channel = writer.register_channel(f"/w/{name}", "json", number, metadata)
-            for time, row in zip(operation(1)[0].time_us.tolist(), rows(1), strict=True):
-                data = json.dumps({"value": row[at]}).encode()
-                writer.add_message(channel, 1000 * time, data, 1000 * time)
-        writer.finish()  # type: ignore[no-untyped-call]
-    write(tmp_path, "w.mcap", (tmp_path / "w.mcap").read_bytes())
-    assert init(tmp_path).code == 0
-    assert [unit for _, unit in channels_of(tmp_path)["w"].values()] == list(units.values())
-
-
-def test_a_minus_sign_is_one(tmp_path: Path) -> None:
-    """A motor that runs backwards, written with the sign of Unicode."""
-    head, *lines = plain(1).splitlines()
-    turned = [line if n % 2 else _reversed(line) for n, line in enumerate(lines)]
-    write(tmp_path, "w_2026-01-01.csv", "\n".join([head, *turned, ""]))
-    assert init(tmp_path).code == 0
-    (motor,) = run_command("check", "fleet/fleet.toml", "--json", folder=tmp_path).lines
-    assert {one["share_missing"] for one in motor["channels"]} == {0.0}
-
-
-def _reversed(line: str) -> str:
-    time, pressure, temperature, speed, flow = line.split(",")
-    return f"{time},\N{MINUS SIGN}{pressure},{temperature},\N{MINUS SIGN}{speed},{flow}"
-
-
-def _in_two_lines() -> str:
-    head, _, body = plain(1).partition("\n")
-    return head.replace("speed_rpm", '"speed\n[rpm]"') + "\n" + body
-
-
-def _apart() -> bytes:
-    made, values = operation(1)
-    times = pl.Series(made.time_us).cast(pl.Datetime("us"))
-    columns = {NAMES[name]: pa.array(value) for name, value in values.items()}
-    table_of = pa.table(
-        {"date": times.dt.date().to_arrow(), "time": times.dt.time().to_arrow()} | columns
-    )
-    sink = pa.BufferOutputStream()
-    pq.write_table(table_of, sink)
-    return bytes(sink.getvalue())
-
-
-def _texts() -> bytes:
-    messages = [
-        (f"/w/{name}", 1000 * time, json.dumps({"value": str(cell) if at == 1 else cell}).encode())
-        for time, row in zip(operation(1)[0].time_us.tolist(), rows(1), strict=True)
-        for at, (name, cell) in enumerate(zip(NAMES.values(), row, strict=True))
-    ]
-    return mcap_bytes(messages, JSON)
-
-
-# What cannot be read is refused with its cause and an example.
-REFUSED: Mapping[str, tuple[str, Callable[[], str | bytes], str]] = {
-    "units in cells": ("w.csv", lambda: _with_units(plain(1)), "its cells carry units (dp_bar: "),
-    "a name of two lines": ("w.csv", _in_two_lines, "a name goes over several lines"),
-    "a separator behind rows": (
-        "w.csv",
-        lambda: plain(1).replace("\n", ",\n").replace(",\n", "\n", 1),
-        "rows end with a ','",
-    ),
-    "a packed MCAP": ("w.mcap.zstd", lambda: b"?", "there is w.mcap.zstd: unpack it"),
-    "date and time apart": ("w.parquet", _apart, "its time is apart, in date (date32[day])"),
-    "numbers as text": ("w.mcap", _texts, "/w/oil_temp_degC: value is text"),
-}
-
-
-def _with_units(text: str) -> str:
+def with_units(text: str) -> str:
     head, *lines = text.splitlines()
     cells = (line.replace(",", " kPa,").replace(" kPa,", ",", 1) + " l/min" for line in lines)
     return "\n".join([head, *cells, ""])
 
 
+def apart() -> bytes:
+    made, values = operation(1)
+    times = pl.Series(made.time_us).cast(pl.Datetime("us"))
+    columns = {name: pa.array(values[channel]) for name, channel in NAMES.items()}
+    stamps = {"date": times.dt.date().to_arrow(), "time": times.dt.time().to_arrow()}
+    return parquet(stamps | columns)
+
+
+def text_of_temperatures(_at: int, channel: int, cell: str) -> Mapping[str, Any]:
+    return {"value": cell if channel == 1 else float(cell)}
+
+
+# What cannot be read is refused with its cause and an example.
+REFUSED: Mapping[str, tuple[str, Callable[[], str | bytes], str]] = {
+    "units in cells": ("w.csv", lambda: with_units(wide()), "its cells carry units (dp_bar: "),
+    "a name of two lines": (
+        "w.csv",
+        lambda: wide().replace("speed_rpm", '"speed\n[rpm]"'),
+        "a name goes over several lines",
+    ),
+    "a separator behind rows": (
+        "w.csv",
+        lambda: wide().replace("\n", ",\n").replace(",\n", "\n", 1),
+        "rows end with a ','",
+    ),
+    "a packed MCAP": ("w.mcap.zstd", lambda: b"?", "there is w.mcap.zstd: unpack it"),
+    "date and time apart": ("w.parquet", apart, "its time is apart, in date (date32[day])"),
+    "numbers as text": (
+        "w.mcap",
+        lambda: messages(text_of_temperatures),
+        "/w/oil_temp_degC: value is text",
+    ),
+}
+
+
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_read_is_refused_with_its_cause(case: str, tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_refused_with_its_cause(case: str, plant: Plant) -> None:
     name, content, words = REFUSED[case]
-    write(tmp_path, name, content())
-    refused = init(tmp_path)
+    refused = plant.init({name: content()})
     assert refused.code == 1
     assert words in refused.err
-    assert not (tmp_path / "fleet").exists()
+    assert not (plant.folder / "fleet").exists()
 
 
-def test_samples_of_an_import_have_the_time_of_their_publishing(tmp_path: Path) -> None:
+def test_samples_of_an_import_have_the_time_of_their_publishing(plant: Plant) -> None:
     """A recorder read a log in again: its own time runs faster, and on another day."""
-    with (tmp_path / "w.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("Reading", "jsonschema", b'{"type": "object"}')
-        ids = [writer.register_channel(f"/w/{name}", "json", schema) for name in NAMES.values()]
-        for at, (time, row) in enumerate(
-            zip(operation(1)[0].time_us.tolist(), rows(1), strict=True)
-        ):
-            for number, cell in zip(ids, row, strict=True):
-                late = 1000 * (operation(1)[0].time_us[0] + 60 * 86400 * 10**6 + 20_000 * at)
-                data = json.dumps({"value": cell}).encode()
-                writer.add_message(number, int(late), data, 1000 * time)
-        writer.finish()  # type: ignore[no-untyped-call]
-    write(tmp_path, "w_2026-01-01.mcap", (tmp_path / "w.mcap").read_bytes())
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 0
-    (night,) = nights_of(tmp_path).rows(named=True)
-    assert night["status"] == "ok"
-    assert abs(night["night"] - FIRST) <= dt.timedelta(days=1)
+
+    def late_us(at: int) -> int:
+        return 60 * 86_400 * 10**6 - 980_000 * at
+
+    assert plant.init({"w_2026-01-01.mcap": messages(value, late_us=late_us)}).code == 0
+    (motor,) = plant.check()
+    assert [night["status"] for night in motor["forecast"]] == ["ok"]
+    assert abs(dt.date.fromisoformat(motor["last"]) - FIRST) <= dt.timedelta(days=1)
 
 
 # Another unit from one night on
 
 
 @covers("ack --night --note", "ack --night --fit --note", "fit-fleet")
-def test_a_night_in_another_unit_is_accepted_or_released(tmp_path: Path) -> None:
+def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
     """The fifth night's drain flow is in l/h where the others are in l/min."""
-    for night in (1, 2, 3, 4, 5):
-        head, *lines = plain(night).splitlines()
-        if night == 5:
-            lines = [_with(line, 3, str(float(line.split(",")[-1]) * 60.0)) for line in lines]
-        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 1
-    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
-    label = str(nights_of(tmp_path)["night"][-1])
-    words = ("ack", "fleet/fleet.toml", "w", "--note", "seen", "--night")
-    refused = run_command(*words, "2026-01-02", folder=tmp_path)
+    nights = {night: wide(night) for night in (1, 2, 3, 4)}
+    nights[5] = wide(5, edit=factor("leakage_flow", 60.0))
+    assert plant.init({f"w_2026-01-0{n}.csv": text for n, text in nights.items()}).code == 0
+    assert plant.fit().code == 1
+    assert plant.table()["status"].to_list() == [*["ok"] * 4, "failed"]
+    label = str(plant.table()["night"][-1])
+    words = ("w", "--note", "seen", "--night")
+    refused = plant.run("ack", *words, "2026-01-02")
     assert refused.code == 2
     assert label in refused.err
-    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 1
-    assert "excluded" in run_command(*words, label, folder=tmp_path).out
-    assert run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path).code == 0
-    assert nights_of(tmp_path)["status"].to_list() == [*["ok"] * 4, "failed"]
-    assert "fits it" in run_command(*words, label, "--fit", folder=tmp_path).out
-    done = run_command("fit-fleet", "fleet/fleet.toml", folder=tmp_path)
+    assert plant.run("fit-fleet").code == 1
+    assert "excluded" in plant.run("ack", *words, label).out
+    assert plant.run("fit-fleet").code == 0
+    assert plant.table()["status"].to_list() == [*["ok"] * 4, "failed"]
+    assert "fits it" in plant.run("ack", *words, label, "--fit").out
+    done = plant.run("fit-fleet")
     assert (done.code, "1 ok" in done.out) == (0, True)
-    assert nights_of(tmp_path)["status"].to_list() == ["ok"] * 5
-
-
-def test_a_speed_in_radians_is_no_wear(tmp_path: Path) -> None:
-    for night in range(1, 7):
-        head, *lines = plain(night).splitlines()
-        if night > 4:
-            lines = [_with(line, 2, str(float(line.split(",")[3]) / 9.5493)) for line in lines]
-        write(tmp_path, f"w_2026-01-0{night}.csv", "\n".join([head, *lines, ""]))
-    assert init(tmp_path).code == 0
-    assert fit(tmp_path).code == 1
-    nights = nights_of(tmp_path)
-    assert nights["status"].to_list() == [*["ok"] * 4, "failed", "failed"]
-    assert "the log is now in rad/s" in nights["reason"][-1]
+    assert plant.table()["status"].to_list() == ["ok"] * 5
 
 
 # Cold oil

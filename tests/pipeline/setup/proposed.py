@@ -1,4 +1,4 @@
-"""Logs that `init` is asked about, read with what it proposes."""
+"""Logs that `init` is asked about, and what it proposes with the answers of who knows the plant."""
 
 from __future__ import annotations
 
@@ -53,28 +53,35 @@ def log_of(
     return Recorded(start_us + (1e6 * step_s * i).astype(np.int64), values)
 
 
+def log_in(folder: Path, data: bytes, name: str = "log.csv") -> Path:
+    path = folder / "logs" / "M1" / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
+
+
 def proposed(source: Path, units: Mapping[str, str] | None = None, form: str = "") -> Proposal:
     """A proposal, with the answers of a person who knows the units and the form of the time."""
     answers: dict[str, str] = {}
     for _ in range(4):
-        found = propose(source, answers)
-        for question in found.questions:
+        proposal = propose(source, answers)
+        for question in proposal.questions:
+            answer = next(iter(question.choices), "")
             if question.key.startswith("unit of"):
                 channel = question.text.split("unit of ")[1].split(" (")[0].replace(" ", "_")
-                answers[question.key] = (units or {}).get(channel, canonical_unit(channel))
+                answer = (units or {}).get(channel, canonical_unit(channel))
             elif question.key.startswith("time_format"):
-                answers[question.key] = form or question.choices[0]
+                answer = form or answer
             elif "pressure" in question.key:
-                high = [
+                high = (
                     n for n in question.choices if meaning_of(n).channel == "high_port_pressure"
-                ]
-                answers[question.key] = (*high, *question.choices)[0]
-            else:
-                answers[question.key] = (
-                    "UTC" if question.key == "time_zone" else question.choices[0]
                 )
-    assert not found.questions, found.questions
-    return found
+                answer = next(high, answer)
+            elif question.key == "time_zone":
+                answer = "UTC"
+            answers[question.key] = answer
+    assert not proposal.questions, proposal.questions
+    return proposal
 
 
 def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
@@ -83,27 +90,22 @@ def read_as_proposed(motor: ProposedMotor, root: Path) -> list[RawLog]:
     channels: Any = {
         name: Channel.model_validate(channel.keys) for name, channel in motor.channels.items()
     }
-    found = sorted({path for pattern in logs.files for path in root.glob(pattern)})
-    assert set(motor.files) <= set(found), "the patterns do not find the logs"
-    return [read_log(path, logs, channels) for path in found]
+    paths = sorted({path for pattern in logs.files for path in root.glob(pattern)})
+    assert set(motor.files) <= set(paths), "the patterns do not find the logs"
+    return [read_log(path, logs, channels) for path in paths]
 
 
-def require_it_reads(source: Path, log: Recorded, form: str = "") -> ProposedMotor:
-    """The one motor that is proposed, of which every sample is read back in its unit."""
-    found = proposed(source, UNITS, form)
-    (motor,) = found.motors
-    logs = read_as_proposed(motor, found.log_root)
+def require_it_reads(
+    source: Path, log: Recorded, form: str = "", units: Mapping[str, str] = UNITS
+) -> ProposedMotor:
+    """The only motor that is proposed, of which every sample is read back in its unit."""
+    proposal = proposed(source, units, form)
+    (motor,) = proposal.motors
+    logs = read_as_proposed(motor, proposal.log_root)
     for channel, values in log.values.items():
-        (raw,) = [one.channels[channel] for one in logs if one.channels[channel].time_us.size]
+        (raw,) = [each.channels[channel] for each in logs if each.channels[channel].time_us.size]
         np.testing.assert_array_equal(raw.time_us, log.time_us)
         np.testing.assert_array_equal(raw.missing, np.isnan(values))
         assert not raw.unparsed
-        np.testing.assert_allclose(raw.value, values, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(raw.value, values, rtol=1e-6, atol=1e-9)
     return motor
-
-
-def log_in(folder: Path, data: bytes, name: str = "log.csv") -> Path:
-    path = folder / "logs" / "M1" / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
-    return path

@@ -1,20 +1,26 @@
-"""What `init` tells of a log of any form: what it proposes reads every sample back."""
+"""What `init` says of a log of any form: what it proposes reads every sample back."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import random
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.writer import Writer
+from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.errors import LogError
 from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
-from tests.dialects import Parquet
+from tests.dialects import Parquet, Recorded
 from tests.pipeline.calling import refused
 from tests.pipeline.setup.proposed import (
     KPA,
@@ -31,190 +37,10 @@ MARCH_4 = START_US - 9 * DAY_US
 
 
 def question(source: Path, key: str) -> Any:
-    return next((one for one in propose(source, {}).questions if one.key == key), None)
+    return next((asked for asked in propose(source, {}).questions if asked.key == key), None)
 
 
-@pytest.mark.parametrize(
-    ("logs", "options"),
-    [
-        ({"time_zone": "UTC"}, {}),
-        *(({"encoding": name}, {}) for name in ("utf-16-be", "utf-32", "utf-32-le", "utf-32-be")),
-        ({"time_format": "%m/%d/%Y %I:%M:%S %p", "unit_rows": 1}, {"packed": ".gz"}),
-        ({"separator": "|", "time": "t"}, {"quoted": True, "bom": b"\xef\xbb\xbf"}),
-        ({}, {"company": True, "reverse": True, "named": "word"}),
-        ({"time_format": "%d.%m.%Y %H:%M:%S", "time": "Time  # UTC"}, {"header_every": 9}),
-    ],
-    ids=str,
-)
-def test_what_is_proposed_reads_the_log(
-    tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]
-) -> None:
-    log = log_of(blank=4)
-    (path,) = text_log(logs, **options).write(tmp_path, "log", log)
-    found = require_it_reads(path, log).logs
-    assert found | logs == found
-
-
-def test_a_zone_is_asked_for_where_the_stamps_have_none(tmp_path: Path) -> None:
-    for form, is_asked in (
-        ("%d.%m.%Y %H:%M:%S", True),
-        ("epoch_s", False),
-        ("%Y-%m-%dT%H:%M:%SZ", False),
-    ):
-        (path,) = text_log({"time_format": form}).write(tmp_path, "log", log_of())
-        assert bool(question(path, "time_zone")) == is_asked
-
-
-@pytest.mark.parametrize(
-    ("start_us", "is_asked"),
-    [
-        (MARCH_4, True),
-        (START_US, False),  # no month 13
-        (MARCH_4 + 18 * 3_600_000_000 - 10_000_000, False),  # over midnight
-    ],
-)
-@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"])
-def test_day_or_month_first_is_asked_where_nothing_tells(
-    tmp_path: Path, start_us: int, is_asked: bool, form: str
-) -> None:
-    log = log_of(start_us=start_us)
-    (path,) = text_log({"time_format": form}).write(tmp_path, "log", log)
-    asked = question(path, "time_format")
-    assert bool(asked) == is_asked
-    if asked:
-        assert f"4 March 2025 by {form}" in asked.text
-        assert form in asked.choices
-    require_it_reads(path, log, form)
-
-
-def test_rows_further_on_tell_day_from_month(tmp_path: Path) -> None:
-    log = log_of(9000, MARCH_4, step_s=120.0)
-    (path,) = text_log({"time_format": "%m/%d/%Y %H:%M:%S"}).write(tmp_path, "log", log)
-    assert question(path, "time_format") is None
-    require_it_reads(path, log)
-
-
-def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
-    log = log_of(2000)
-    rows = [
-        f"{START_US // 10**6 + i},{name},{value!r},{unit},Good"
-        for name, unit, channel in (("dp", "bar", "pressure_difference"),
-                                    ("T oil", "degC", "oil_temperature"),
-                                    ("n", "1/min", "speed"), ("drain", "l/min", "leakage_flow"))
-        for i, value in enumerate(log.values[channel].tolist())
-    ]  # fmt: skip
-    text = "\n".join(["time,Tag,Value,Unit,Quality", *rows, ""])
-    motor = require_it_reads(log_in(tmp_path, text.encode()), log)
-    assert {one.keys["quality_source"] for one in motor.channels.values()} == {"Quality"}
-
-
-@pytest.mark.parametrize(
-    ("logs", "options"),
-    [
-        ({}, {}),
-        ({}, {"time_unit": "ns", "zone": None}),
-        *(({"time_format": form}, {}) for form in ("epoch_ms", "epoch_s", "excel_days")),
-        ({}, {"within": ("drive",)}),
-        ({"layout": "long", "channel_column": "signal"},
-         {"dictionary": True, "options": {"row_group_size": 17}}),
-    ],
-    ids=str,
-)  # fmt: skip
-def test_parquet(tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]) -> None:
-    log = log_of(blank=None if "layout" in logs else 4)
-    dialect = Parquet(logs, KPA, names=NAMES["name"], **options)
-    (path,) = dialect.write(tmp_path, "log", log)
-    motor = require_it_reads(path, log)
-    within = ".".join((*options.get("within", ()), "Speed [1/min]"))
-    assert motor.channels["speed"].keys["source"] == within
-
-
-@pytest.mark.parametrize("is_apart", [False, True])
-def test_parquet_with_times_in_text_and_units_in_the_metadata(
-    tmp_path: Path, is_apart: bool
-) -> None:
-    log, units = log_of(), ("bar", "°C", "1/min", "l/min")
-    stamps = [f"13.03.2025 06:00:{i:02}" for i in range(30)]
-    columns = {"time": pa.array(stamps)}
-    if is_apart:
-        dates, clocks = zip(*(stamp.split() for stamp in stamps), strict=True)
-        columns = {"Date": pa.array(dates), "Time": pa.array(clocks)}
-    columns |= {n: pa.array(v) for n, v in zip("ptnq", log.values.values(), strict=True)}
-    fields = [pa.field(name, column.type) for name, column in columns.items()]
-    fields[-4:] = [
-        field.with_metadata({"unit": u}) for field, u in zip(fields[-4:], units, strict=True)
-    ]
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), path)
-    require_it_reads(path, log)
-
-
-@pytest.mark.parametrize(
-    ("above", "skipped"),
-    [
-        (b"Report,Plant A,Line 2,,\nfrom,2025-01-01 00:00:00,2025-01-02 00:00:00,,\n", 2),
-        (b"range,0,100,,\n", 1),
-    ],
-)
-def test_a_line_above_the_names_may_hold_samples(
-    tmp_path: Path, above: bytes, skipped: int
-) -> None:
-    row = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
-    names = b"time,dp [bar],T [degC],n [rpm],drain flow [l/min]\n"
-    found = sniff(log_in(tmp_path, above + names + 5 * row))
-    assert found.logs["skip_rows"] == skipped
-    assert found.columns[0].name == "dp [bar]"
-
-
-def test_two_columns_whose_stamps_nobody_knows(tmp_path: Path) -> None:
-    (column,) = sniff(log_in(tmp_path, b"time,p\n" + b"Jan 1 2025 00:00:01,1.5\n" * 5)).columns
-    assert column.name == "p"
-
-
-def test_what_cannot_be_told_is_a_question(tmp_path: Path) -> None:
-    rows = b"2025-03-01 06:00:00,20130,7.5,me\n2025-03-01 06:00:01,20140,7.4,me\n"
-    path = log_in(tmp_path, b"time,dp,n,T,who\n" + rows.replace(b"7.", b"8.5,7."))
-    found = propose(path, {})
-    asked = {question.key: question.choices for question in found.questions}
-    assert asked["unit of dp"] == ("kPa", "mbar")
-    assert asked["log.leakage_flow"] == ("dp", "n", "T")
-
-
-def test_a_mark_that_may_be_either_is_asked_and_a_decimal_comma_between_commas_refused(
-    tmp_path: Path,
-) -> None:
-    rows = b"2025-03-01 06:00:00;20,130;1,250;40,125;1,125\n" * 3
-    path = log_in(tmp_path, b"time;dp [kPa];speed [rpm];T [degC];leak [l/min]\n" + rows)
-    assert question(path, "decimal").choices == (",", ".")
-    (motor,) = propose(path, {"decimal": ".", "time_zone": "UTC"}).motors
-    assert (motor.logs["decimal"], motor.logs["thousands"]) == (".", ",")
-    (path,) = text_log({"decimal": ","}, quoted=True).write(tmp_path, "log", log_of())
-    with refused("log_not_csv", "another separator"):
-        sniff(path)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"no table\n", b"\0\1\2" * 100, b"PAR1" + bytes(40), b"\x89MCAP0\r\n" * 2, b"1,2\n" * 9],
-    ids=["empty", "one cell", "binary", "Parquet", "MCAP", "no names"],
-)
-def test_what_is_no_log(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "log"
-    path.write_bytes(data)
-    with pytest.raises(LogError):
-        sniff(path)
-
-
-def test_what_is_no_file(tmp_path: Path) -> None:
-    """A pipe would hold up who opens it."""
-    os.mkfifo(tmp_path / "pipe")
-    for name, code in (("absent", "log_missing"), ("", "log_not_readable"),
-                       ("pipe", "log_not_readable"), ("x" * 300, "log_not_readable")):  # fmt: skip
-        with refused(code):
-            sniff(tmp_path / name)
-
-
-# Any log
+# Delimited text
 
 TIMES = (
     *("iso8601", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M"),
@@ -258,12 +84,116 @@ def test_any_dialect_reads_back_what_was_written(tmp_path: Path, form: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("encoding", "header"),
+    ("logs", "options"),
+    [
+        *(({"encoding": name}, {}) for name in ("utf-32", "utf-32-le", "utf-16-be")),
+        ({"time_format": "%m/%d/%Y %I:%M:%S %p", "unit_rows": 1}, {"packed": ".gz"}),
+        ({"separator": "|", "time": "t"}, {"quoted": True, "bom": b"\xef\xbb\xbf"}),
+        ({}, {"company": True, "reverse": True, "named": "word"}),
+        ({"time_format": "%d.%m.%Y %H:%M:%S", "time": "Time  # UTC"}, {"header_every": 9}),
+    ],
+    ids=str,
+)
+def test_what_is_proposed_reads_the_log(
+    tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]
+) -> None:
+    log = log_of(blank=4)
+    (path,) = text_log(logs, **options).write(tmp_path, "log", log)
+    proposed = require_it_reads(path, log).logs
+    assert proposed | logs == proposed
+
+
+@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"])
+@pytest.mark.parametrize(
+    ("log", "is_asked"),
+    [
+        pytest.param(log_of(start_us=MARCH_4), True, id="4 March"),
+        pytest.param(log_of(), False, id="no month 13"),
+        pytest.param(log_of(start_us=MARCH_4 + 18 * 3_600_000_000 - 10**7), False, id="midnight"),
+        pytest.param(log_of(9000, MARCH_4, step_s=120.0), False, id="rows further on"),
+    ],
+)
+def test_day_or_month_first_is_asked_where_nothing_says_it(
+    tmp_path: Path, log: Recorded, is_asked: bool, form: str
+) -> None:
+    (path,) = text_log({"time_format": form}).write(tmp_path, "log", log)
+    asked = question(path, "time_format")
+    assert bool(asked) == is_asked
+    assert not asked or f"4 March 2025 by {form}" in asked.text
+    require_it_reads(path, log, form)
+
+
+@pytest.mark.parametrize(
+    ("form", "is_asked"), [("%d.%m.%Y %H:%M:%S", True), ("epoch_s", False), ("%FT%TZ", False)]
+)
+def test_a_zone_is_asked_for_where_the_stamps_have_none(
+    tmp_path: Path, form: str, is_asked: bool
+) -> None:
+    (path,) = text_log({"time_format": form}).write(tmp_path, "log", log_of())
+    assert bool(question(path, "time_zone")) == is_asked
+
+
+def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
+    log = log_of(2000)
+    rows = [
+        f"{START_US // 10**6 + i},{name},{value!r},{unit},Good"
+        for name, unit, channel in (("dp", "bar", "pressure_difference"),
+                                    ("T oil", "degC", "oil_temperature"),
+                                    ("n", "1/min", "speed"), ("drain", "l/min", "leakage_flow"))
+        for i, value in enumerate(log.values[channel].tolist())
+    ]  # fmt: skip
+    text = "\n".join(["time,Tag,Value,Unit,Quality", *rows, ""])
+    motor = require_it_reads(log_in(tmp_path, text.encode()), log)
+    assert {column.keys["quality_source"] for column in motor.channels.values()} == {"Quality"}
+
+
+NAMED = b"time,dp [bar],T [degC],n [rpm],drain flow [l/min]\n"
+SAMPLE = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
+
+
+@pytest.mark.parametrize(
+    ("data", "skipped", "columns"),
     [
         (
-            "cp1252",
-            "Zeit;Druckdifferenz [bar];Öltemperatur [°C];Drehzahl [1/min];Leckölstrom [l/min]",
+            b"Report,Plant A,Line 2,,\nfrom,2025-01-01 00:00:00,2025-01-02 00:00:00,,\n" + NAMED,
+            2,
+            4,
         ),
+        (b"range,0,100,,\n" + NAMED, 1, 4),
+        (b"time,p\n" + b"Jan 1 2025 00:00:01,1.5\n" * 5, 0, 1),
+    ],
+    ids=["samples above the names", "a number above the names", "stamps that nobody knows"],
+)
+def test_the_line_of_names(tmp_path: Path, data: bytes, skipped: int, columns: int) -> None:
+    table = sniff(log_in(tmp_path, data + (b"" if columns == 1 else 5 * SAMPLE)))
+    assert (table.logs.get("skip_rows", 0), len(table.columns)) == (skipped, columns)
+
+
+def test_what_is_not_said_is_a_question(tmp_path: Path) -> None:
+    rows = b"2025-03-01 06:00:00,20130,7.5,me\n2025-03-01 06:00:01,20140,7.4,me\n"
+    path = log_in(tmp_path, b"time,dp,n,T,who\n" + rows.replace(b"7.", b"8.5,7."))
+    asked = {question.key: question.choices for question in propose(path, {}).questions}
+    assert asked["unit of dp"] == ("kPa", "mbar")
+    assert asked["log.leakage_flow"] == ("dp", "n", "T")
+
+
+def test_a_mark_that_may_be_either_is_asked_and_a_decimal_comma_between_commas_refused(
+    tmp_path: Path,
+) -> None:
+    rows = b"2025-03-01 06:00:00;20,130;1,250;40,125;1,125\n" * 3
+    path = log_in(tmp_path, b"time;dp [kPa];speed [rpm];T [degC];leak [l/min]\n" + rows)
+    assert question(path, "decimal").choices == (",", ".")
+    (motor,) = propose(path, {"decimal": ".", "time_zone": "UTC"}).motors
+    assert (motor.logs["decimal"], motor.logs["thousands"]) == (".", ",")
+    (path,) = text_log({"decimal": ","}, quoted=True).write(tmp_path, "log", log_of())
+    with refused("log_not_csv", "another separator"):
+        sniff(path)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "header"),
+    [
+        ("cp1252", "Zeit;Druckdifferenz [bar];Öltemperatur [°C];Drehzahl [1/min];Lecköl [l/min]"),
         ("cp1250", "Czas;Różnica ciśnień [bar];Temp. oleju [°C];Prędkość [1/min];Przepływ [l/min]"),
         ("gb18030", "时间;压差 [bar];油温 [°C];转速 [1/min];泄漏流量 [l/min]"),
     ],
@@ -274,5 +204,219 @@ def test_of_several_encodings_that_of_the_most_known_words(
     rows = "2025-03-01 06:00:00;20,5;40,5;7,5;1,5\n" * 5
     path = log_in(tmp_path, f"{header}\n{rows}".encode(encoding))
     (motor,) = propose(path, {"time_zone": "UTC"}).motors
-    assert motor.logs["encoding"] == encoding
-    assert len(motor.channels) == 4
+    assert (motor.logs["encoding"], len(motor.channels)) == (encoding, 4)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"no table\n", b"\0\1\2" * 100, b"PAR1" + bytes(40), b"\x89MCAP0\r\n" * 2, b"1,2\n" * 9],
+    ids=["empty", "one cell", "binary", "Parquet", "MCAP", "no names"],
+)
+def test_what_is_no_log(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(LogError):
+        sniff(log_in(tmp_path, data, "log"))
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("absent", "log_missing"), (".", "log_not_readable"), ("pipe", "log_not_readable")],
+)
+def test_what_is_no_file(tmp_path: Path, name: str, code: str) -> None:
+    """A pipe would hold up who opens it."""
+    os.mkfifo(tmp_path / "pipe")
+    with refused(code):
+        sniff(tmp_path / name)
+
+
+# Parquet
+
+
+@pytest.mark.parametrize(
+    ("logs", "options"),
+    [
+        ({}, {"time_unit": "ns", "zone": None}),
+        *(({"time_format": form}, {}) for form in ("epoch_ms", "excel_days")),
+        ({}, {"within": ("drive",)}),
+        ({"layout": "long", "channel_column": "signal"},
+         {"dictionary": True, "options": {"row_group_size": 17}}),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_parquet(tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]) -> None:
+    log = log_of(blank=None if "layout" in logs else 4)
+    dialect = Parquet(logs, KPA, names=NAMES["name"], **options)
+    (path,) = dialect.write(tmp_path, "log", log)
+    motor = require_it_reads(path, log)
+    within = ".".join((*options.get("within", ()), "Speed [1/min]"))
+    assert motor.channels["speed"].keys["source"] == within
+
+
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_parquet_with_times_in_text_and_units_in_the_metadata(
+    tmp_path: Path, is_apart: bool
+) -> None:
+    log, units = log_of(), ("bar", "°C", "1/min", "l/min")
+    stamps = [f"13.03.2025 06:00:{i:02}" for i in range(30)]
+    columns: dict[str, Any] = {"time": stamps}
+    if is_apart:
+        columns = dict(
+            zip(("Date", "Time"), zip(*map(str.split, stamps), strict=True), strict=True)
+        )
+    fields = [pa.field(name, pa.string()) for name in columns]
+    for name, unit, values in zip("ptnq", units, log.values.values(), strict=True):
+        columns[name] = values
+        fields.append(pa.field(name, pa.float64(), metadata={"unit": unit}))
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns, schema=pa.schema(fields)), sink)
+    require_it_reads(log_in(tmp_path, sink.getvalue().to_pybytes(), "log.parquet"), log)
+
+
+# MCAP
+
+LATE_US = 3_000  # between a sample and its record
+LATE = Recorded(log_of().time_us + LATE_US, log_of().values)
+UNITS = {"pressure_difference": "bar", "leakage_flow": "l/min"}
+P, T, N, Q = log_of().values.values()
+Message = Callable[[int], Mapping[str, Any]]
+"""What a topic says, by a sample's number."""
+
+
+def mcap(folder: Path, topics: Mapping[str, Message], units: str = "") -> Path:
+    """A log of JSON messages; `units`: where each topic's unit is stated."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=2000)
+    writer.start()
+    ids = {}
+    for topic, unit in zip(topics, ("bar", "degC", "rpm", "l/min"), strict=False):
+        value = {"type": "number"} | ({"unit": unit} if units == "schema" else {})
+        schema = json.dumps({"type": "object", "properties": {"value": value}}).encode()
+        number = writer.register_schema(topic, "jsonschema", schema)
+        metadata = {"unit": unit} if units == "metadata" else {}
+        ids[topic] = writer.register_channel(topic, "json", number, metadata)
+    for i, time_us in enumerate(LATE.time_us.tolist()):
+        for topic, number in ids.items():
+            data = json.dumps(topics[topic](i)).encode()
+            writer.add_message(number, 1000 * time_us, data, 1000 * time_us)
+    writer.finish()
+    return log_in(folder, buffer.getvalue(), "log.mcap")
+
+
+def a_topic_a_channel(**beside: Any) -> dict[str, Message]:
+    names = ("/mill/dp", "/mill/oil_temperature", "/mill/speed", "/mill/drain_flow")
+    return {
+        name: lambda i, values=values: {"value": values[i], **beside}
+        for name, values in zip(names, (P, T, N, Q), strict=True)
+    }
+
+
+def test_a_topic_a_channel(tmp_path: Path) -> None:
+    topics = a_topic_a_channel(quality=192)
+    operator = {"/mill/operator": lambda i: {"name": "me", "shift": i % 3}}
+    motor = require_it_reads(mcap(tmp_path, topics | operator), LATE, units=UNITS)
+    assert [column.keys["source"] for column in motor.channels.values()] == list(topics)
+    assert {column.keys["quality_source"] for column in motor.channels.values()} == {"quality"}
+    assert motor.logs["time"] == "log_time"
+
+
+@pytest.mark.parametrize("place", ["metadata", "schema"])
+def test_units_that_messages_state_are_not_asked(place: str, tmp_path: Path) -> None:
+    proposal = propose(mcap(tmp_path, a_topic_a_channel(), place), {})
+    units = [column.unit for column in proposal.motors[0].channels.values()]
+    assert (proposal.questions, units) == ((), ["bar", "degC", "rpm", "l/min"])
+
+
+def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -> None:
+    time_us = log_of().time_us
+
+    def message(i: int) -> dict[str, Any]:
+        return {
+            "stamp": {"sec": int(time_us[i]) // 10**6, "nanosec": int(time_us[i]) % 10**6 * 1000},
+            "hydraulics": {"pressure.diff": {"value": P[i] * 100, "unit": "kPa"}},
+            "readings": [{"drain_flow_lpm": Q[i], "ok": True}],
+            "shaft": {"rpm": N[i]},
+            "temps": {"oil_degC": T[i], "ambient_degC": 20.0},
+        }
+
+    motor = require_it_reads(mcap(tmp_path, {"/drive": message}), log_of())
+    assert motor.logs["stamp"] == "stamp"
+    pressure, _, _, flow = (column.keys for column in motor.channels.values())
+    assert (pressure["field"], pressure["unit"]) == (r"hydraulics.pressure\.diff.value", "kPa")
+    assert flow["field"] == "readings[0].drain_flow_lpm"
+
+
+@pytest.mark.parametrize(
+    ("stamp", "form"),
+    [
+        (lambda us: us // 1000, "epoch_ms"),
+        (lambda us: us / 1e6, "epoch_s"),
+        (lambda us: f"{np.datetime64(us, 'us')}Z", "iso8601"),
+    ],
+)
+def test_stamps_that_are_a_number_or_text(
+    tmp_path: Path, stamp: Callable[[int], Any], form: str
+) -> None:
+    log = log_of()
+    topics = {
+        f"/{channel}": lambda i, values=values: {"t": stamp(int(log.time_us[i])), "v": values[i]}
+        for channel, values in log.values.items()
+    }
+    logs = require_it_reads(mcap(tmp_path, topics), log, units=UNITS).logs
+    assert (logs["stamp"], logs["time_format"]) == ("t", form)
+
+
+STAMPED = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+# By topic: message, its fields, the field of the reading, and readings.
+ROS_2: Mapping[str, tuple[str, str, str, Any]] = {
+    "/dp": (
+        "sensor_msgs/msg/FluidPressure",
+        "float64 fluid_pressure\nfloat64 variance\n",
+        "fluid_pressure",
+        P * 1e5,
+    ),
+    "/oil": (
+        "sensor_msgs/msg/Temperature",
+        "float64 temperature\nfloat64 variance\n",
+        "temperature",
+        T,
+    ),
+    "/shaft": ("motor_msgs/msg/Shaft", "float32[2] speeds\n", "speeds", N),
+    "/drain": ("motor_msgs/msg/Drain", "float64 flow_m3_h\nstring note\n", "flow_m3_h", Q * 0.06),
+}
+
+
+def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
+    log, buffer = log_of(), io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    for topic, (name, fields, field, values) in ROS_2.items():
+        text = f"std_msgs/Header header\n{fields}{STAMPED}"
+        encode = serialize_dynamic(name, text)[name]
+        schema = writer.register_schema(name, "ros2msg", text.encode())
+        number = writer.register_channel(topic, "cdr", schema)
+        for i, time_us in enumerate(log.time_us.tolist()):
+            stamp = {"sec": time_us // 10**6, "nanosec": time_us % 10**6 * 1000}
+            content = {"header": {"stamp": stamp, "frame_id": "x"}, "note": "", "variance": 0.5}
+            content[field] = [values[i], -1.0] if field == "speeds" else values[i]
+            writer.add_message(number, 1000 * time_us + 7000, encode(content), 0)
+    writer.finish()
+    motor = require_it_reads(log_in(tmp_path, buffer.getvalue(), "log.mcap"), log, units=UNITS)
+    assert motor.logs["stamp"] == "header.stamp"
+    units = [column.unit for column in motor.channels.values()]
+    assert units == ["Pa", "degC", "rpm", "m3/h"]
+
+
+def test_a_topic_without_a_reading_is_no_motor_s(tmp_path: Path) -> None:
+    fields = {"variance": 0.5, "sensor_id": 7, "x": 1.0}
+    path = mcap(tmp_path, {"/drain_flow": lambda i: {"seq": i, **fields}})
+    proposal = propose(path, {})
+    assert not proposal.motors
+    assert proposal.faults[0].startswith("no_motor: log.mcap")

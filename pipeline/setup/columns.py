@@ -1,7 +1,8 @@
 """Columns and units that look wrong: by the log's header, by magnitude, or since one log on.
 
 Of changes the first and the last log are compared; where they differ, the change is looked for by
-halves, so that a few of many logs are opened.
+halves, so that a few of many logs are opened. Of a header nothing but {} is known where its log
+cannot be read, which is a fault of that log already.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import datetime as dt
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -19,15 +19,17 @@ from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.channels import COUNTED, PORT_PRESSURES
 from pipeline.config.motors import MotorFile
+from pipeline.config.nights import night
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, read_log
+from pipeline.ingest import RawChannel, RawLog
+from pipeline.logs.files import reaches_us, slice_night
 from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.night.fit_night import clean_channels
 from pipeline.night.sample_rows import conditions
-from pipeline.night.time_base import Samples
+from pipeline.night.time_base import Insufficient, Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
-from pipeline.setup.operation import night_of_log
-from pipeline.setup.qualities import quality_words
-from pipeline.setup.signals import signals_of
+from pipeline.setup.samples import temperature_jumps
+from pipeline.setup.signals import quality_words, signals_of
 from pipeline.setup.sniff import header_of, sniff
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 
@@ -36,12 +38,46 @@ UNUSUAL_FLOW = 8.0
 _SHOWN = 5  # columns that a fault names
 Dated = Sequence[tuple[dt.date, str]]
 """The last night and the name of each log that can be read, in order of time."""
+PathOf = Callable[[str], Path]
+Header = Mapping[str, str]
+"""Columns of a log, each with what is written beside it as a unit."""
+
+
+def first_findings(
+    spec: MotorSpec,
+    label: dt.date,
+    dated: Dated,
+    path_of: PathOf,
+    channels: Mapping[str, RawChannel],
+) -> Iterator[str]:
+    """Yield what `check` would say of columns and units of the night that a first run begins with.
+
+    `channels` are raw ones of that night.
+    """
+    header = headers_of(spec, path_of)
+    yield from column_changes(spec, dated, header)
+    yield from differing_units(spec.file, header(dated[-1][1]))
+    yield from suspect_units(spec, label, channels)
+    yield from temperature_jumps(channels["oil_temperature"])
+
+
+def headers_of(spec: MotorSpec, path_of: PathOf) -> Callable[[str], Header]:
+    """Return a function that reads the header of a log by its name, once."""
+
+    @cache
+    def header(name: str) -> Header:
+        try:
+            return header_of(path_of(name), spec.file.logs)
+        except LogError:
+            return {}
+
+    return header
 
 
 def suspect_units(
-    spec: MotorSpec, night: dt.date, channels: Mapping[str, RawChannel]
+    spec: MotorSpec, label: dt.date, channels: Mapping[str, RawChannel]
 ) -> Iterator[str]:
-    """What is unusual of a channel's magnitude under its unit, and which units would mend it.
+    """Yield what is unusual of a channel's magnitude under its unit, and units that would mend it.
 
     Pressure, temperature and speed are judged by what motors show; once these are usual, the flow
     by what the configured model has at their typical values.
@@ -60,7 +96,7 @@ def suspect_units(
     }
     unusual = {name: own for name, own in judged.items() if not own[0] <= typical[name] <= own[1]}
     where = ""
-    if not unusual and (expected := _model_flow(spec, night, typical)):
+    if not unusual and (expected := _model_flow(spec, label, typical)):
         usual = (expected / UNUSUAL_FLOW, expected * UNUSUAL_FLOW)
         if not usual[0] <= typical[COUNTED] <= usual[1]:
             unusual, where = {COUNTED: usual}, f" where the model has {expected:.2g}"
@@ -75,11 +111,10 @@ def suspect_units(
         yield f"unit_unusual: {name}: typically {shown}, which is unusual{where}{mended}"
 
 
-def differing_units(path: Path, file: MotorFile) -> Iterator[str]:
-    """Channels that a table's header or line of units gives another unit than the config."""
-    beside = header_of(path, file.logs)
+def differing_units(file: MotorFile, header: Header) -> Iterator[str]:
+    """Yield channels that a table's header or line of units gives another unit than the config."""
     for name, channel in file.channels.items():
-        unit = meaning_of(channel.source, beside.get(channel.source, "")).unit
+        unit = meaning_of(channel.source, header.get(channel.source, "")).unit
         is_judged = channel.counts is None and channel.constant is None and channel.scale == 1.0
         if unit is None or unit == channel.unit or not is_judged:
             continue
@@ -93,7 +128,7 @@ def differing_units(path: Path, file: MotorFile) -> Iterator[str]:
 
 
 def _typical(name: str, raw: RawChannel) -> float | None:
-    """Upper quartile of all numbers, those out of range too: they tell the unit.
+    """Return the upper quartile of all numbers, those out of range too: they tell the unit.
 
     The sign of a pressure, a speed or a flow is its direction, and left out.
     """
@@ -103,8 +138,8 @@ def _typical(name: str, raw: RawChannel) -> float | None:
     return float(np.percentile(numbers, 75)) if len(numbers) else None
 
 
-def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -> float | None:
-    """Flow of the configured model at typical values; None where these are not known."""
+def _model_flow(spec: MotorSpec, label: dt.date, typical: Mapping[str, float]) -> float | None:
+    """Return the flow of the configured model at typical values; None where these are not known."""
     pressure = "pressure_difference" if "pressure_difference" in typical else "high_port_pressure"
     if not {COUNTED, pressure, "oil_temperature", "speed"} <= typical.keys():
         return None
@@ -112,45 +147,40 @@ def _model_flow(spec: MotorSpec, night: dt.date, typical: Mapping[str, float]) -
         conditions = OperatingConditions.from_bar(
             typical[pressure], typical["oil_temperature"], typical["speed"]
         )
-        motor = spec.motor(night, spec.file.flushing.mode)
+        motor = spec.motor(label, spec.file.flushing.mode)
         return float(total_flow_l_per_min(motor, conditions)[0])
     except LeakageError:
         return None
 
 
-def unused_qualities(path: Path, file: MotorFile) -> Iterator[str]:
+def unused_qualities(path: Path, header: Header, file: MotorFile) -> Iterator[str]:
     """Yield the channels of which the log has a quality that the config does not name."""
-    with suppress(LogError):
-        header = header_of(path, file.logs)
-        # To take a log apart costs more than all else of a check.
-        if header and not any(map(quality_words, header)):
-            return
-        signals = signals_of(sniff(path))
-        qualities = {
-            column.keys["source"]: column.quality for column in signals.columns if column.quality
-        }
-        for name, channel in file.channels.items():
-            quality = qualities.get(channel.source)
-            if quality is not None and not channel.quality_source:
-                yield (
-                    f"{name}: the log has its quality, {quality.source}, which is not used: then "
-                    "quality_source and quality_good"
-                )
+    # To take a log apart costs more than all else of a check.
+    if header and not any(map(quality_words, header)):
+        return
+    try:
+        columns = signals_of(sniff(path)).columns
+    except LogError:
+        return
+    qualities = {column.keys["source"]: column.quality for column in columns}
+    for name, channel in file.channels.items():
+        quality = qualities.get(channel.source)
+        if quality is not None and not channel.quality_source:
+            yield (
+                f"{name}: the log has its quality, {quality.source}, which is not used: then "
+                "quality_source and quality_good"
+            )
 
 
 # Changes from one log on
 
 
-def column_changes(spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]) -> Iterator[str]:
-    """Faults of channels whose column is not in all logs, or changes its unit."""
+def column_changes(spec: MotorSpec, dated: Dated, header: Callable[[str], Header]) -> Iterator[str]:
+    """Yield channels whose column is not in all logs, or changes its unit."""
     last = len(dated) - 1
 
-    @cache
-    def columns(at: int) -> Mapping[str, str]:
-        try:
-            return header_of(path_of(dated[at][1]), spec.file.logs)
-        except LogError:  # which is a fault of that log already
-            return {}
+    def columns(at: int) -> Header:
+        return header(dated[at][1])
 
     if last < 1 or not (columns(0) and columns(last)):
         return
@@ -171,14 +201,17 @@ def column_changes(spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path]
 
 
 def _alone(these: Iterable[str], others: Collection[str]) -> str:
-    """The first columns of one log that the other does not have."""
+    """Return the first columns of one log that the other does not have."""
     return ", ".join([repr(column) for column in these if column not in others][:_SHOWN]) or "none"
 
 
 def changed_readings(
-    spec: MotorSpec, dated: Dated, path_of: Callable[[str], Path], newest: Samples
+    spec: MotorSpec,
+    dated: Dated,
+    content: Callable[[str], RawLog | None],
+    newest: Samples,
 ) -> str | None:
-    """The log from which on readings look like those of other columns or units; None: none.
+    """Return the log from which on readings look like those of other columns or units, or None.
 
     The first log is that since the last event.
     """
@@ -187,12 +220,15 @@ def changed_readings(
 
     def means(at: int) -> dict[str, float]:
         label, name = dated[at]
-        try:
-            log = read_log(path_of(name), spec.file.logs, spec.file.channels)
-        except LogError:  # which is a fault of that log already
+        if (log := content(name)) is None:  # which is a fault of that log already
             return {}
-        samples = night_of_log(spec, label, log)
-        return {} if samples is None else _means(samples)
+        here = night(label, spec.settings.nights)
+        channels = slice_night([log], here, reaches_us(spec))
+        try:
+            samples, _ = clean_channels(spec.file, spec.settings, here, channels)
+        except Insufficient:
+            return {}
+        return _means(samples) if len(samples.index) else {}
 
     def why(now: dict[str, float]) -> str | None:
         return column_change(spec, usual, now) if usual and now else None
@@ -206,7 +242,7 @@ def changed_readings(
 
 
 def _means(samples: Samples) -> dict[str, float]:
-    """Means of the kept samples, as those of a run; and of each gauge of two."""
+    """Return means of the kept samples, as those of a run; and of each gauge of two."""
     row = conditions(samples)
     means = {name: row[column] for name, column in COLUMNS.items()}
     if (low := samples.low_pressures_bar.get("low_port_pressure")) is not None:

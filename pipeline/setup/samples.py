@@ -1,0 +1,217 @@
+"""What `check` says of a log's samples: sampling, values that are no readings, what a night gives.
+
+Samples that are sent on change, or left by a historian's compression, leave silences; `init` writes
+the keys of such a channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import SECOND_US, Array, Mask, Times
+from pipeline.clock import utc
+from pipeline.config import Channel, MotorSpec
+from pipeline.config.channels import COUNTED
+from pipeline.ingest import RawChannel
+from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
+from pipeline.night.masks import near
+from pipeline.night.time_base import Samples
+from pipeline.units import FALLBACK_VALID_RANGE
+
+# Samples of the head of a log that are looked at, and fewest that tell anything.
+HEAD, FEWEST = 20_000, 30
+# Larger figures are no readings, and their squares no numbers.
+LARGEST = 1e100
+# A step is a silence beyond so many of the shortest tenth of steps; a log is irregular where
+# silences are so frequent, and take up so much of the time.
+SILENCE_STEPS, SILENT_STEPS_SHARE, SILENT_TIME_SHARE = 3.5, 0.02, 0.2
+# Silences that are proposed [s]: the first that covers this share of the time.
+SILENCES_S, COVERED_TIME_SHARE = (10, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200), 0.99
+# Of values that are sent when they changed by a step, the smallest changes are near the typical.
+STEP_SHARE = 0.5
+# A running total may be reset or roll over so often; below, it rises all the time.
+FALLS_SHARE, FEWEST_RISES = 0.005, 20
+# An extreme value is none of a measurement where it comes in so many stretches of the log, and
+# lies so many times the spread of the others beyond them.
+FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
+# Oil does not change by so much between neighbouring samples that are so near; where the samples
+# around them do not differ as much it is a single spike, which is refused.
+JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
+# Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
+# 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.
+RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
+
+
+# Sampling
+
+
+def silence_keys(raw: RawChannel, every_us: Times) -> dict[str, Any]:
+    """Return the keys of a channel that is sent on change or compressed; empty for any other.
+
+    Silences in which no channel has a row, of stamps `every_us` in order, are the logger's own.
+    """
+    time_us, value = _head(raw)
+    if value.size < FEWEST or not np.ptp(value):
+        return {}
+    begins = np.searchsorted(every_us, time_us[:-1], "right")
+    is_alone = np.searchsorted(every_us, time_us[1:]) == begins
+    steps = np.diff(time_us) / 1e6
+    is_short = steps <= SILENCE_STEPS * np.quantile(steps, 0.1)
+    steps = steps[~is_alone | is_short]
+    if not _is_irregular(steps):
+        return {}
+    ordered = np.sort(steps)
+    needed_s = ordered[np.searchsorted(np.cumsum(ordered), COVERED_TIME_SHARE * ordered.sum())]
+    silence_s = next((seconds for seconds in SILENCES_S if seconds >= needed_s), SILENCES_S[-1])
+    changes = np.abs(np.diff(value))
+    smallest, typical = np.quantile(changes[changes > 0], (0.05, 0.5))
+    keys: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": float(silence_s)}
+    return keys | ({"between": "hold"} if smallest > STEP_SHARE * typical else {})
+
+
+def sampling_note(name: str, channel: Channel, raw: RawChannel) -> Iterator[str]:
+    """Yield where a channel's samples do not look as configured, and what to set."""
+    time_us, value = _head(raw)
+    if value.size < FEWEST or not np.ptp(value):
+        return
+    steps = np.diff(time_us) / 1e6
+    if name == COUNTED and _rises(value) != (channel.counts == "cumulative"):
+        if channel.counts == "cumulative":
+            yield f"{name}: configured as a running total, and falls again and again"
+        else:
+            keys = 'counts = "cumulative", unit = "count" and volume_per_count_cm3'
+            yield f"{name}: looks like a running total: then {keys}"
+    elif _is_irregular(steps) and channel.sampling != "on_change" and channel.counts is None:
+        # Without the longest hundredth.
+        reach = float(np.quantile(steps, 0.99, method="higher"))
+        yield (
+            f"{name}: looks sent on change, compressed, or lost in part: then sampling = "
+            f'"on_change" and longest_silence_s; silences here reach {reach:.3g} s'
+        )
+
+
+def _head(raw: RawChannel) -> tuple[Times, Array]:
+    """Return stamps and values of the first readings."""
+    rows = np.flatnonzero(~raw.missing & (np.abs(raw.value) < LARGEST))[:HEAD]
+    time_us, first = np.unique(raw.time_us[rows], return_index=True)
+    return time_us, raw.value[rows][first]
+
+
+def _is_irregular(steps: Array) -> bool:
+    """Return True if silences are frequent and long: no clock wrote these samples."""
+    if not len(steps):
+        return False
+    silent = steps > SILENCE_STEPS * np.quantile(steps, 0.1)
+    is_frequent = float(silent.mean()) >= SILENT_STEPS_SHARE
+    return is_frequent and float(steps[silent].sum() / steps.sum()) >= SILENT_TIME_SHARE
+
+
+def _rises(value: Array) -> bool:
+    """Return True if values only rise, resets and roll-overs apart."""
+    changes = np.diff(value)
+    falls = changes < 0
+    if int(np.sum(changes > 0)) < FEWEST_RISES or float(np.mean(falls)) > FALLS_SHARE:
+        return False
+    # A reading that warms up falls now and then by its step; a total falls to its begin.
+    return bool(np.all(-changes[falls] > 0.3 * np.ptp(value)))
+
+
+# Values that are no readings
+
+
+def temperature_jumps(log: RawChannel) -> Iterator[str]:
+    """Yield that the oil's temperature jumps between neighbours."""
+    low, high = FALLBACK_VALID_RANGE["oil_temperature"]
+    rows = np.flatnonzero((log.value >= low) & (log.value <= high))
+    time_us, value = log.time_us[rows], log.value[rows]
+    is_near = np.abs(np.diff(time_us)) <= NEIGHBOURS_S * SECOND_US
+    is_jump = (np.abs(np.diff(value)) >= JUMP_C) & is_near
+    is_jump[1:-1] &= np.abs(value[3:] - value[:-3]) >= JUMP_C
+    places = np.flatnonzero(is_jump)
+    if len(places) >= FEWEST_JUMPS:
+        first = places[0]
+        yield (
+            f"oil_temperature jumps {len(places)} times by {JUMP_C:g} °C and more between "
+            f"neighbours, such as {value[first]:g} to {value[first + 1]:g} at "
+            f"{utc(time_us[first]):%Y-%m-%d %H:%M:%S} UTC, which no oil does: are columns swapped, "
+            "is the sensor loose, or a column of quality not used?"
+        )
+
+
+def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+    """Yield channels whose highest or lowest value is no reading, with the key that refuses it."""
+    for name, channel in spec.file.channels.items():
+        if channel.constant is not None or channel.counts is not None:
+            continue
+        # A halt drives oil backwards through the meter, which then reads its maximum.
+        at_work = ~_near_halts(spec, channels["speed"], channels[name].time_us)
+        value = _credible(name, channel, channels[name].value[at_work])
+        for extreme, nearest in _sentinels(value):
+            low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
+            limit = float(f"{(extreme + nearest) / 2:.3g}")
+            low, high = (low, limit) if extreme > nearest else (limit, high)
+            yield (
+                f"extreme_repeated: {name}: {extreme:g} stands {np.sum(value == extreme)} times, "
+                f"and no other value is beyond {nearest:.4g}: if it is no reading, "
+                f"valid_range = [{low:g}, {high:g}] refuses it"
+            )
+
+
+def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
+    cleaning = spec.settings.cleaning
+    halts = np.sort(speed.time_us[np.abs(speed.value) < cleaning.standstill_rpm])
+    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
+    return near(halts, time_us, before, after)
+
+
+def _credible(name: str, channel: Channel, value: Array) -> Array:
+    low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
+    readings = value[np.isfinite(value) & (value >= low) & (value <= high)]
+    if channel.sensor_maximum is not None:
+        readings = readings[readings < channel.sensor_maximum - channel.resolution]
+    # Whatever stands still or is without load reads 0.
+    return readings if name == "oil_temperature" else readings[readings != 0.0]
+
+
+def _sentinels(value: Array) -> Iterator[tuple[float, float]]:
+    """Yield extreme values, each with the nearest of the others."""
+    for end in (np.max, np.min) if len(value) else ():
+        mark = float(end(value))
+        others = value[value != mark]
+        places = np.flatnonzero(value == mark)
+        n_stretches = 1 + int(np.count_nonzero(np.diff(places) > 1))
+        if n_stretches < FEWEST_STRETCHES or 2 * len(others) < len(value):
+            continue
+        beside = float(end(others))
+        low, high = np.quantile(others, SPREAD)
+        if abs(mark - beside) > BEYOND_SPREADS * (high - low) > 0.0:
+            yield mark, beside
+
+
+# What a night gives
+
+
+def operation(spec: MotorSpec, samples: Samples) -> str:
+    """Return running minutes of a night, its conditions, and what they are enough for, in words.
+
+    Conditions are the 5th to 95th percentiles while the motor ran.
+    """
+    minutes = samples.n_turning * samples.period_us / SECOND_US / 60.0
+    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    inputs = (pressure, speed, samples.oil_temperature_c)
+    reached = []
+    for (name, (full, unit)), values in zip(RANGES.items(), inputs, strict=True):
+        low, high = np.percentile(values, (5, 95), method="nearest")
+        share = min((high - low) / full, 1.0)
+        reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
+    ran = (
+        f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
+        "identifies every path within 30 minutes"
+    )
+    needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.training_share
+    if minutes < needed:
+        return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
+    return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"
