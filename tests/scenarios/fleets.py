@@ -150,9 +150,9 @@ class ScenarioFleet:
         how = {"folder": self.folder} | how
         return run_command(*command.split(), self.config, *arguments, **how)
 
-    def fitted(self) -> ScenarioFleet:
+    def fitted(self, *options: str) -> ScenarioFleet:
         """The same, after its first nightly run."""
-        done = self.run("fit-fleet")
+        done = self.run("fit-fleet", *options)
         assert done.code == 0, done.err
         return self
 

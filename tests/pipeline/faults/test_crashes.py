@@ -175,8 +175,13 @@ def notification(_: TinyFleet, folder: Path) -> Case:
 
 
 CASES = (nightly, first, acknowledging, mending, notification)
-WORKS = [(made, "killed") for made in CASES]
-WORKS += [(made, fault) for made in (nightly, first, notification) for fault in ("refused", "full")]
+WORKS = [pytest.param(made, "killed") for made in CASES]
+WORKS += [pytest.param(nightly, fault) for fault in ("refused", "full")]
+WORKS += [
+    pytest.param(made, fault, marks=pytest.mark.full)
+    for made in (first, notification)
+    for fault in ("refused", "full")
+]
 
 
 # Without a part: a few points by chance; the parts together are all.
@@ -198,7 +203,7 @@ def test_a_work_that_is_broken_off_is_made_up_for(
     n = victim.crash_at(0, case.work, case.fleet.folder, output, fault).seen
     assert n > 10
     rng = np.random.default_rng(len(f"{made.__name__}{fault}"))
-    some = rng.choice(n, 3, replace=False) if part is None else np.arange(part, n, SLICES)
+    some = rng.choice(n, 2, replace=False) if part is None else np.arange(part, n, SLICES)
     ends: Counter[str] = Counter()
     for point in some.tolist():
         shutil.rmtree(output)
