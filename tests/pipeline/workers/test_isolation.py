@@ -43,7 +43,7 @@ EXPECTED = {
     "segfault": ("worker_died", "SIGSEGV(-11)"),
 }
 # One of each kind; the others in the full run.
-QUICK = {"panic", "hang_in_c", "stop", "eat_with_polars", "segfault"}
+QUICK = {"panic", "hang_in_c", "eat_with_polars", "segfault"}
 
 
 def not_lost(_: object, loss: Loss) -> Any:
@@ -143,7 +143,11 @@ with open_workers(Execution(workers=2)) as workers:
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
 @pytest.mark.parametrize(
     ("number", "to_all"),
-    [(signal.SIGKILL, False), (signal.SIGINT, True), (signal.SIGINT, False)],
+    [
+        (signal.SIGKILL, False),
+        (signal.SIGINT, True),
+        pytest.param(signal.SIGINT, False, marks=pytest.mark.full),
+    ],
 )
 def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals, to_all: bool) -> None:
     process = subprocess.Popen(
