@@ -184,18 +184,31 @@ class Baseline:
         return max(1.0 - flushed, LEAST_SHARE)
 
     @property
-    def leakage_share_error(self) -> float:
+    def split_error(self) -> float:
         """Relative standard error of that share: of the flushing's estimate, and of the model.
 
         A drain flow that misses by the lack of fit over its range moves its constant part by as
-        much. A share is at most 1, so that a leakage changes by no less than the drain flow: no
-        error of the flushing takes a change away, which is left half of its size at least.
+        much. A leakage of another power of pressure and speed looks like the model's and a
+        constant, over any range: where the model misses something, its power is not sure.
         """
         if self.flushing is None:
             return 0.0
         of_flow = float(self.own_row[self.flushing] * self.path_sd[self.flushing])
-        error = math.hypot(of_flow, self.lack_of_fit) / self.leakage_share
-        return min(error, max(1.0 - self.leakage_share, choices.MOSTLY) / TWO_SIDED_95)
+        is_missed = min(self.lack_of_fit / choices.WRONG_SHAPE, 1.0)
+        return math.hypot(
+            math.hypot(of_flow, self.lack_of_fit) / self.leakage_share,
+            choices.LEAKAGE_BY_SHAPE * is_missed,
+        )
+
+    @property
+    def leakage_share_error(self) -> float:
+        """The same for a change of the leakage.
+
+        A share is at most 1, so that a leakage changes by no less than the drain flow: no error of
+        the flushing takes a change away, which is left half of its size at least.
+        """
+        most = max(1.0 - self.leakage_share, choices.MOSTLY) / TWO_SIDED_95
+        return min(self.split_error, most)
 
     @property
     def leakage_row(self) -> Array:

@@ -100,6 +100,10 @@ LEVEL_BY_LACK = 0.1
 # is learned of means of two minutes, in which the load varies, and is asked for at one steady load:
 # 5 % on an all-laminar machine whose lack of fit is 8 %.
 LEAKAGE_BY_LACK = 0.3
+# Relative error of a leakage beside an estimated flushing whose power of the load is not the
+# model's: an orifice has half of a gap's, a gap that the pressure opens has twice as much. Of such
+# machines the model misses about so much of the flow, or more.
+LEAKAGE_BY_SHAPE, WRONG_SHAPE = 0.35, 0.02
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
 # ln of likelihood by which the nights have to prefer a cause to another one, to tell them apart:

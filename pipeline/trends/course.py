@@ -208,7 +208,8 @@ class Course:
     def _own_leakage(self, baseline: Baseline, verdict: Verdict, place: int) -> Estimate | str:
         """Return leakage now at the motor's own conditions: the baseline's and its change (7c.3).
 
-        By the oil of the night, which the change is no part of.
+        By the oil of the night, which the change is no part of. What an estimated flushing takes of
+        the drain flow, it takes in the baseline and now.
         """
         assert self.watch is not None
         first = self.nights.place_from(baseline.end)
@@ -221,7 +222,8 @@ class Course:
             change = in_force.before
         flow = baseline.own_leakage * float(theta @ now) / max(float(theta @ then), 1e-12)
         grown, missed = 1.0 + change.value, LEAKAGE_BY_LACK * verdict.lack_of_fit
-        return Estimate(flow * grown, flow * math.hypot(change.sd, grown * missed))
+        split = self.watch.state.baseline.split_error
+        return Estimate(flow * grown, flow * math.hypot(change.sd, grown * missed, grown * split))
 
     def _leakage(self, at: Conditions, place: int) -> Estimate | str:
         assert self.watch is not None

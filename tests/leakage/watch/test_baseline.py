@@ -295,3 +295,20 @@ def test_a_flushing_is_one_with_the_zero_of_the_meter() -> None:
     # No oil thins a flushing: neither another grade nor a sensor's error moves it.
     thin = named("oil_grade", machine, baseline)[0].direction
     assert thin[:4] == pytest.approx([1.0, 1.0, 1.0, 0.0] * baseline.all_paths[:4])
+
+
+@pytest.mark.parametrize("power", [0.5, 0.7, 1.0, 1.6, 2.2])
+def test_the_leakage_beside_a_flushing_holds_where_the_leakage_is_another_power(
+    power: float,
+) -> None:
+    """What is missed over the range of pressures is missed of what stays constant, too."""
+    paths = ("ring", "piston", "sleeve", "flushing")
+    nights, leakages = [], []
+    for night in Plant().nights(8, 2):
+        flow = night.flow.mean() * (night.flow / night.flow.mean()) ** power
+        made = np.column_stack([night.drives[:, :3], np.ones(30)])
+        nights.append(replace(night, drives=made, flow=flow + 2.0))
+        leakages.append(flow)
+    baseline = baseline_of(Machine(paths, paths[:3], VG_68), nights)
+    true = np.mean(leakages) / (np.mean(leakages) + 2.0)
+    assert abs(baseline.leakage_share - true) < 1.96 * baseline.split_error * true
