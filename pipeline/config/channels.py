@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, field_validator
+from pydantic import AwareDatetime, Field, field_validator
 
 from pipeline.config.dialect import FieldText
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage
@@ -58,7 +59,9 @@ class Channel(Section):
     value_column: Annotated[str, Stage.READING] = ""
     """Column in its file, where not `logs.value_column`."""
     unit: str
-    """Unit in the log."""
+    """Unit in the log; where it was changed, the newest."""
+    earlier_units: tuple[tuple[str, AwareDatetime], ...] = ()
+    """Units before, oldest first, each with the first time of the next: `["l/min", TIME]`."""
     quality_source: str = ""
     """Column, or field of the message (MCAP), of the channel's quality."""
     quality_good: tuple[QualityValue, ...] = GOOD_QUALITY
@@ -128,18 +131,28 @@ class Channel(Section):
             yield self.at("between", 'expected sampling = "on_change" beside it')
         if is_mean == (self.mean_of_s is None):
             yield self.at("mean_of_s", 'expected together with sampling = "mean", and only then')
-        yield from self._misfits_of_counts()
+        yield from self._misfits_of_units()
 
-    def _misfits_of_counts(self) -> Iterator[Misfit]:
+    def _misfits_of_units(self) -> Iterator[Misfit]:
+        ends = [end for _, end in self.earlier_units]
+        if any(end >= later for end, later in pairwise(ends)):
+            yield self.at("earlier_units", "expected the oldest first, each with a later time")
         is_counted = self.counts is not None
         if is_counted != (self.unit == COUNT):
             yield self.at("counts", f'expected together with unit = "{COUNT}"')
         if is_counted == (self.volume_per_count_cm3 is None):
             yield self.at("volume_per_count_cm3", "expected together with counts, and only then")
+        if is_counted and self.earlier_units:
+            yield self.at("earlier_units", "expected none beside counts")
         if is_counted and self.sampling == "mean":
             yield self.at("counts", 'expected no sampling = "mean" beside it')
         if self.counter_rolls_over_at is not None and self.counts != "cumulative":
             yield self.at("counter_rolls_over_at", 'expected counts = "cumulative" beside it')
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """All units in which the log has the channel, the newest first."""
+        return (self.unit, *(unit for unit, _ in reversed(self.earlier_units)))
 
 
 Channels = Mapping[ChannelName, Channel]

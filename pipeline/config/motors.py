@@ -193,6 +193,8 @@ class MotorFile(Section):
         known = UNITS[QUANTITIES[name]]
         if channel.unit not in known and (name, channel.unit) != (COUNTED, COUNT):
             yield "unit", f"expected one of {', '.join(known)}"
+        if any(unit not in known for unit, _ in channel.earlier_units):
+            yield "earlier_units", f"expected units of {', '.join(known)}"
         try:
             if self.logs.format == "mcap" and channel.quality_source:
                 field_path(channel.quality_source)

@@ -13,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.clock import IN_FUTURE
+from pipeline.clock import IN_FUTURE, microseconds
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.cells import is_bad, nulls, quality_states
@@ -57,7 +57,7 @@ def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
 
 
 def _in_canonical_unit(
-    name: str, channel: Channel, raw: NDArray[np.float64]
+    name: str, channel: Channel, time_us: NDArray[np.int64], raw: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Figures of a channel with scale, offset and unit applied; as they are where none changes."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
@@ -66,9 +66,13 @@ def _in_canonical_unit(
             raw = raw * channel.scale
             raw += channel.offset
     # Counts are read as they are; cleaning makes a flow of them.
-    if channel.counts is not None or channel.unit == canonical_unit(name):
+    if channel.counts is not None or channel.units == (canonical_unit(name),):
         return raw
-    return to_canonical(name, raw, channel.unit)
+    readings = to_canonical(name, raw, channel.unit)
+    for unit, end in reversed(channel.earlier_units):
+        is_before = time_us < microseconds(end)
+        readings = np.where(is_before, to_canonical(name, raw, unit), readings)
+    return readings
 
 
 def raw_channel(
@@ -94,7 +98,7 @@ def raw_channel(
             f"such as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             channel.source,
         )
-    value = _in_canonical_unit(name, channel, readings.raw)
+    value = _in_canonical_unit(name, channel, time_us, readings.raw)
     return _frozen(RawChannel(time_us, value, readings.missing, unparsed, bad))
 
 

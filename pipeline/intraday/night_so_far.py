@@ -169,7 +169,8 @@ class NightsBefore:
 
     def columns_changed(self, spec: MotorSpec, blocks: NightBlocks) -> str | None:
         """Return why blocks look like those of other columns or units than the nights before."""
-        return column_change(spec, self.usual, _readings(blocks)) if self.usual else None
+        change = column_change(spec, self.usual, _readings(blocks)) if self.usual else None
+        return change and change.words
 
     def blocks_of(
         self, output: Path, spec: MotorSpec, label: dt.date, begin_us: int

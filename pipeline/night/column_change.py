@@ -1,24 +1,30 @@
 """Columns that change places, or their unit, from one night on: reported as that, not as wear.
 
 A reading of another unit is a factor between units off for a whole night, which a load, a speed or
-a temperature may be, too. It is another unit where two of three signs say so:
+a temperature may be, too. It is another unit, of the night or of the others, where two of three
+signs say so:
 
 | Sign | Holds where |
 |---|---|
 | exact | the reading in the other unit is the usual one, nearly |
 | relation | the motor's model has the flow of the night as usual with it, and not without it |
 | alone | all other readings are the usual ones |
+
+Where the other nights may be those of another unit, a speed or a flow that has risen has to be
+exact to a few percent.
 """
 
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial
-from itertools import chain, combinations
+from itertools import chain, combinations, product
+from operator import itemgetter
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
@@ -43,6 +49,8 @@ OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature", "speed", FLOW)
 # beyond which it is not, or is no wear of a night; a difference of two gauges of which one is in
 # another unit is further off than any load with the same flow.
 USUAL, NEAR, FAR, WORN, GAUGE_FAR = 1.3, 1.5, 2.0, 3.0, 10.0
+# A motor may run ten times as fast from one night on, or leak four times as much.
+MAY_RISE, EXACT = ("speed", FLOW), 1.04
 USUAL_C = 8.0
 SIGNS = 2
 # A low port without charge pressure may be at any multiple of it [bar].
@@ -51,6 +59,13 @@ CHARGED_BAR = 5.0
 USUAL_NIGHTS, FEWEST_USUAL = 7, 3
 
 ModelFlow = Callable[[float, float, float], float | None]
+
+
+class Change(NamedTuple):
+    """A change of columns or of a unit, in words."""
+
+    words: str
+    is_of_others: bool = False  # the other nights have another unit than configured
 
 
 def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
@@ -73,8 +88,8 @@ def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 def column_change(
     spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
-) -> str | None:
-    """Return why readings look like those of other columns or units than before; None: they do not.
+) -> Change | None:
+    """Return why readings look like those of other columns or units than usual; None: they do not.
 
     Both have the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
     """
@@ -82,7 +97,18 @@ def column_change(
         return None
     # Of all units that a flow may be in, the model's flow is the same.
     model_flow = cache(partial(_model_flow, spec))
-    return next(chain(_swapped(usual, now), _other_unit(spec, model_flow, usual, now)), None)
+    units = [
+        other_unit
+        for is_of_others in (False, True)
+        for other_unit in _other_units(spec, model_flow, usual, now, is_of_others=is_of_others)
+    ]
+    nearest = min(units, key=itemgetter(0), default=None)
+    changes = (
+        _swapped(usual, now),
+        () if nearest is None else (nearest[1],),
+        _other_gauge(spec, usual, now),
+    )
+    return next(chain.from_iterable(changes), None)
 
 
 def _model_flow(
@@ -96,7 +122,7 @@ def _model_flow(
     return None
 
 
-def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[str]:
+def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[Change]:
     """Yield pairs of columns that changed places; the flow is as before."""
     if _factor(now[FLOW], usual[FLOW]) > FAR:
         return
@@ -104,46 +130,70 @@ def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[s
         are_far = all(_factor(now[name], usual[name]) > FAR for name in (channel, other))
         pairs = (now[channel], usual[other]), (now[other], usual[channel])
         if are_far and all(_factor(*pair) < NEAR for pair in pairs):
-            yield (
+            yield Change(
                 f"columns changed? {plain(channel)} and {plain(other)} look swapped: "
                 f"{_said(channel, now)} and {_said(other, now)}, "
-                f"before {_said(channel, usual)} and {_said(other, usual)}"
+                f"usually {_said(channel, usual)} and {_said(other, usual)}"
             )
 
 
-def _other_unit(
-    spec: MotorSpec, model_flow: ModelFlow, usual: Mapping[str, float], now: Mapping[str, float]
-) -> Iterator[str]:
+def _other_units(
+    spec: MotorSpec,
+    model_flow: ModelFlow,
+    usual: Mapping[str, float],
+    now: Mapping[str, float],
+    *,
+    is_of_others: bool,
+) -> Iterator[tuple[float, Change]]:
+    """Yield readings that are right in another unit, with the factor by which they are then off.
+
+    The readings of now and the usual ones are right in one unit, or the other way about.
+    """
+    right, wrong = (now, usual) if is_of_others else (usual, now)
     channels = {str(name): channel for name, channel in spec.file.channels.items()}
     for name in (name for name in OF_ONE_UNIT if _is_known(name, usual, now)):
-        configured = channels[name if name in channels else PORT_PRESSURES[0]]
-        if configured.counts is not None:
+        channel = channels[name if name in channels else PORT_PRESSURES[0]]
+        is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
+        if channel.counts is not None or not is_unusual:
             continue
-        for unit in UNITS[QUANTITIES[name]]:
+        may_be_right = is_of_others and name in MAY_RISE and now[name] > usual[name]
+        for configured, unit in product(channel.units, UNITS[QUANTITIES[name]]):
             # As it is if the log is in another unit than configured.
-            as_logged = from_canonical(name, now[name], configured.unit)
+            as_logged = from_canonical(name, wrong[name], configured)
             reading = float(to_canonical(name, as_logged, unit))
-            is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
-            is_other = reading > 0.0 and is_unusual and _factor(reading, now[name]) > FAR
-            if is_other and _signs(model_flow, name, reading, usual, now) >= SIGNS:
-                yield (
-                    f"unit changed? {_changed(name, usual, now)}: as before if the log is now in "
-                    f"{unit} where the config has {configured.unit}"
+            if reading <= 0.0 or _factor(reading, wrong[name]) <= FAR:
+                continue
+            off = _off(model_flow, name, reading, right, wrong)
+            if off < (EXACT if may_be_right else math.inf):
+                like, when = ("now", "usually") if is_of_others else ("usual", "now")
+                words = (
+                    f"unit changed? {_changed(name, usual, now)}: as {like} if the log {when} has "
+                    f"it in {unit} where the config has {configured} (earlier_units of "
+                    f"channels.{name} date a unit)"
                 )
+                yield off, Change(words, is_of_others)
+
+
+def _other_gauge(
+    spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
+) -> Iterator[Change]:
+    """Yield a difference of two gauges that no load makes with the same flow."""
     far = _factor(now[DIFFERENCE], usual[DIFFERENCE])
     is_as_before = _factor(now[FLOW], usual[FLOW]) <= FAR
-    if far > GAUGE_FAR and DIFFERENCE not in channels and is_as_before:
-        yield f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?"
+    if far > GAUGE_FAR and DIFFERENCE not in spec.file.channels and is_as_before:
+        yield Change(f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?")
 
 
-def _signs(
+def _off(
     model_flow: ModelFlow,
     name: str,
     reading: float,
     usual: Mapping[str, float],
     now: Mapping[str, float],
-) -> int:
-    """Return how many signs there are that a reading is the right one of a channel."""
+) -> float:
+    """Return the factor by which another reading of a channel is off; inf if it is not the right
+    one by two signs.
+    """
     right = _with_reading(name, reading, now)
     before, found, mended = (_relation(model_flow, means) for means in (usual, now, right))
     off, left = _factor(found, before), _factor(mended, before)
@@ -153,11 +203,10 @@ def _signs(
     else:
         # The flow itself is no sign of its unit; no wear of a night is as far off.
         left_of_range, is_exact, is_related = left, left < USUAL, off > WORN
-    if left_of_range > NEAR:
-        return 0
     own = {name, DIFFERENCE} if name in PORT_PRESSURES else {name}
     others = [channel for channel in COLUMNS if channel not in own]
-    return is_exact + is_related + all(_is_usual(other, usual, now) for other in others)
+    n_signs = is_exact + is_related + all(_is_usual(other, usual, now) for other in others)
+    return left_of_range if left_of_range <= NEAR and n_signs >= SIGNS else math.inf
 
 
 def _beyond(name: str, value: float, usual: Mapping[str, float]) -> float:
@@ -194,7 +243,7 @@ def _is_known(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -
 
 
 def _changed(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> str:
-    return f"{plain(name)} {_said(name, now)}, before {_said(name, usual)}"
+    return f"{plain(name)} {_said(name, now)}, usually {_said(name, usual)}"
 
 
 def _said(name: str, values: Mapping[str, float]) -> str:

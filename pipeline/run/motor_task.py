@@ -26,6 +26,7 @@ from pipeline.logs.processed import GONE, FileRecord, NightRecord
 from pipeline.messages import speak_as_parent
 from pipeline.night.column_change import (
     COLUMNS,
+    FEWEST_USUAL,
     USUAL_NIGHTS,
     column_change,
     readings_of,
@@ -288,26 +289,50 @@ class MotorRun(NightPlan):
     def _unless_changed(self, outcome: NightOutcome) -> NightOutcome:
         """Return a night's outcome; it fails where its columns or units are others than before."""
         now = next(map(readings_of, outcome.rows["nights"]), {})
-        why = None
+        change = None
         if now and (usual := self._usual(outcome.night)):
-            why = column_change(self.spec, usual, now)
-        if why is None or outcome.night in self.task.released:
+            change = column_change(self.spec, usual, now)
+        if change is None or outcome.night in self.task.released:
             return outcome
-        why += "; mend the log or the motor's file, enter a dated event if the motor runs so now"
-        why += ", or ack the night"
-        rows = {"quality": outcome.rows["quality"]}
+        before = {night for night in self._fitted_nights(outcome.night) if night < outcome.night}
+        # The nights before are refused where this run made them; what is published stays.
+        if change.is_of_others and before and before <= self.done.keys():
+            words = f"unlike night {outcome.night}: {change.words}"
+            for label in sorted(before - self.task.released):
+                self._remember(self._with_change(self.done[label], words))
+            return outcome
+        return self._with_change(outcome, change.words)
+
+    def _with_change(self, outcome: NightOutcome, words: str) -> NightOutcome:
+        """Return a night that fails with a change of columns or units."""
+        how = "mend the log or the motor's file, enter a dated event if the motor runs so now"
+        why = f"{words}; {how}, or ack the night"
+        rows = {"quality": outcome.rows.get("quality", [])}
         return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 
     def _usual(self, label: dt.date) -> dict[str, float]:
-        """Medians of the last fitted nights of the baseline period; empty where they are few."""
-        begins = (event.date for event in self.spec.file.baseline_events if event.date <= label)
-        since = max(begins, default=dt.date.min)
-        nights = [
+        """Medians of the last fitted nights before, or of the first after; empty where few."""
+        nights = self._fitted_nights(label)
+        before = [night for night in nights if night < label][-USUAL_NIGHTS:]
+        after = [
+            night
+            for night in nights
+            if night > label
+            and self.records[night].statistics_hash == self.hashes.statistics(night)
+        ][:USUAL_NIGHTS]
+        chosen = before if len(before) >= FEWEST_USUAL else after
+        return usual_readings(self._rows_of(chosen, NIGHTS, tuple(COLUMNS.values())))
+
+    def _fitted_nights(self, label: dt.date) -> list[dt.date]:
+        """Return the fitted nights of a night's baseline period, without the night itself."""
+        begins = [event.date for event in self.spec.file.baseline_events]
+        since = max((date for date in begins if date <= label), default=dt.date.min)
+        until = min((date for date in begins if date > label), default=dt.date.max)
+        return [
             night
             for night, record in sorted(self.records.items())
-            if since <= night < label and record.status == OK
-        ][-USUAL_NIGHTS:]
-        return usual_readings(self._rows_of(nights, NIGHTS, tuple(COLUMNS.values())))
+            if since <= night < until and night != label and record.status == OK
+        ]
 
     def _rows_of(
         self, nights: Collection[dt.date], table: Table, columns: tuple[str, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -225,20 +225,21 @@ class _NightLook:
 
 def _every_look(
     spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]
-) -> Iterator[_NightLook]:
+) -> Iterable[_NightLook]:
     """Look into all nights, in order of time; each is compared with those before it."""
-    fitted: dict[dt.date, Mapping[str, Any]] = {}
+    looks: dict[dt.date, _NightLook] = {}
     for label in labels:
-        look = _look_at_night(spec, logs, label)
         begins = (event.date for event in spec.file.baseline_events if event.date <= label)
         since = max(begins, default=dt.date.min)
-        before = [row for day, row in fitted.items() if day >= since][-USUAL_NIGHTS:]
-        usual, readings = usual_readings(before), readings_of(look.row)
-        if usual and readings and (why := column_change(spec, usual, readings)):
-            look = replace(look, status=FAILED, reason=why)
-        if look.status == OK:
-            fitted[label] = look.row
-        yield look if label == labels[-1] else replace(look, samples=None)
+        before = [day for day, look in looks.items() if day >= since and look.status == OK]
+        look = _look_at_night(spec, logs, label)
+        looks[label] = look if label == labels[-1] else replace(look, samples=None)
+        usual = usual_readings(looks[day].row for day in before[-USUAL_NIGHTS:])
+        readings = readings_of(look.row)
+        if usual and readings and (change := column_change(spec, usual, readings)):
+            for day in before if change.is_of_others else [label]:
+                looks[day] = replace(looks[day], status=FAILED, reason=change.words)
+    return looks.values()
 
 
 def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> Iterator[_NightLook]:

@@ -23,7 +23,7 @@ from pipeline.config.nights import night
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog
 from pipeline.logs.files import reaches_us, slice_night
-from pipeline.night.column_change import COLUMNS, column_change
+from pipeline.night.column_change import COLUMNS, Change, column_change
 from pipeline.night.fit_night import clean_channels
 from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Insufficient, Samples
@@ -116,7 +116,7 @@ def differing_units(file: MotorFile, header: Header) -> Iterator[str]:
     for name, channel in file.channels.items():
         unit = meaning_of(channel.source, header.get(channel.source, "")).unit
         is_judged = channel.counts is None and channel.constant is None and channel.scale == 1.0
-        if unit is None or unit == channel.unit or not is_judged:
+        if unit is None or unit in channel.units or not is_judged:
             continue
         code, more = "unit_differs", ""
         if QUANTITY_OF[unit] != QUANTITIES[name]:
@@ -184,9 +184,10 @@ def column_changes(spec: MotorSpec, dated: Dated, header: Callable[[str], Header
 
     if last < 1 or not (columns(0) and columns(last)):
         return
-    for source in dict.fromkeys(channel.source for channel in spec.file.channels.values()):
+    for source, dated_units in {of.source: of.units for of in spec.file.channels.values()}.items():
         was, now = (columns(at).get(source) for at in (0, last))
-        if was == now:
+        units = {meaning_of(source, unit or "").unit for unit in (was, now)}
+        if was == now or units.issubset(dated_units):
             continue
         after = bisect_left(range(last), True, 1, key=lambda at: columns(at).get(source) != was)
         label, name = dated[after]
@@ -196,8 +197,8 @@ def column_changes(spec: MotorSpec, dated: Dated, header: Callable[[str], Header
             how = "has no column" if now is None else "is the first with column"
             yield f"column_gone: {log} {how} {source!r}; new in it: {new}; no longer in it: {old}"
         else:
-            units = f"{now or 'no unit'!r}; the log before has {was!r}"
-            yield f"unit_changed: {log} gives {source!r} in {units}"
+            how = f"{now or 'no unit'!r}; the log before has {was!r}: earlier_units date a unit"
+            yield f"unit_changed: {log} gives {source!r} in {how}"
 
 
 def _alone(these: Iterable[str], others: Collection[str]) -> str:
@@ -230,15 +231,15 @@ def changed_readings(
             return {}
         return _means(samples) if len(samples.index) else {}
 
-    def why(now: dict[str, float]) -> str | None:
+    def change_to(now: dict[str, float]) -> Change | None:
         return column_change(spec, usual, now) if usual and now else None
 
     usual = means(0) if len(dated) > 1 else {}
-    if (change := why(_means(newest))) is None:
+    if (change := change_to(_means(newest))) is None:
         return None
     last = len(dated) - 1
-    first = bisect_left(range(last), True, 1, key=lambda at: why(means(at)) is not None)
-    return f"columns_changed: from {dated[first][1]} on: {change}"
+    first = bisect_left(range(last), True, 1, key=lambda at: change_to(means(at)) is not None)
+    return f"columns_changed: from {dated[first][1]} on: {change.words}"
 
 
 def _means(samples: Samples) -> dict[str, float]:

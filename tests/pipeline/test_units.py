@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from pathlib import Path
+
 import numpy as np
+import pyarrow as pa
 import pytest
 
+from pipeline.clock import microseconds
+from pipeline.config import Channel
 from pipeline.errors import UsageError
+from pipeline.ingest.assembly import raw_channel, readings_of
 from pipeline.night.masks import out_of_range
 from pipeline.units import (
     CHANNELS,
@@ -54,6 +61,17 @@ from pipeline.units import (
 def test_published_conversions(channel: str, value: float, unit: str, expected: float) -> None:
     assert to_canonical(channel, [value], unit) == pytest.approx([expected], rel=1e-7, abs=1e-9)
     assert from_canonical(channel, [expected], unit) == pytest.approx([value], rel=1e-7, abs=1e-9)
+
+
+def test_a_reading_has_the_unit_of_its_time() -> None:
+    times = [dt.datetime(2026, 1, day, 12, tzinfo=dt.UTC) for day in (3, 4)]
+    earlier_units = tuple(zip(("l/h", "l/s"), times, strict=True))
+    channel = Channel(source="drain", unit="l/min", earlier_units=earlier_units)
+    first, second = map(microseconds, times)
+    time_us = np.array([second, first - 1, first, second - 1])
+    readings = readings_of(pa.array([6.0] * 4))
+    flow = raw_channel(Path("log"), "leakage_flow", channel, time_us, readings)
+    assert flow.value.tolist() == [6.0, 0.1, 360.0, 360.0]
 
 
 # What such motors and their sensors can show: peaks of 450 bar on either port, no pressure below a

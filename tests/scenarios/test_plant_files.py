@@ -654,6 +654,30 @@ def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
     assert plant.table()["status"].to_list() == ["ok"] * 5
 
 
+def test_a_unit_that_changes_is_refused_until_it_is_dated(plant: Plant) -> None:
+    """The flow is in l/min in three nights, then in gallons, as configured."""
+    in_gallons = factor("leakage_flow", 1.0 / 3.785412)
+    nights = {n: wide(n) if n < 4 else wide(n, edit=in_gallons) for n in range(1, 7)}
+    assert plant.init({f"w_2026-01-0{n}.csv": text for n, text in nights.items()}).code == 0
+    fleet = plant.folder / "fleet" / "fleet.toml"
+    text = fleet.read_text("utf-8").replace('"l/min"', '"us_gal/min"')
+    fleet.write_text(f"{text}\n{SEQUENTIAL}", "utf-8")
+    for options in ((), ("--redo", "2026-01-02")):
+        assert plant.run("fit-fleet", *options).code == 1
+        assert plant.table()["status"].to_list() == [*["failed"] * 3, *["ok"] * 3]
+        assert plant.table()["error_code"].to_list() == [*["columns_changed"] * 3, *[None] * 3]
+    checked, *_ = plant.check("--full")
+    assert [look["status"] for look in checked["forecast"]] == plant.table()["status"].to_list()
+    assert any("earlier_units of channels.leakage_flow" in fault for fault in checked["faults"])
+    with (plant.folder / "fleet" / "motors" / "w.toml").open("a") as file:
+        file.write("[channels.leakage_flow]\n")
+        file.write('earlier_units = [["l/min", 2026-01-04T12:00:00Z]]\n')
+    assert plant.run("fit-fleet").code == 0
+    truth = [operation(night)[1]["leakage_flow"].mean() for night in range(1, 7)]
+    flows = plant.table()["mean_drain_flow_l_per_min"].to_list()
+    assert flows == pytest.approx(truth, rel=0.01)
+
+
 # Cold oil
 
 

@@ -28,12 +28,12 @@ WITH_PORTS = (*USUAL, 195.0, 15.0)
     [
         (USUAL, (180.0, 6.4, 45.0, 1.8), "oil temperature and speed look swapped"),
         (USUAL, (48.0, 170.0, 6.5, 2.1), "pressure difference and oil temperature look swapped"),
-        (USUAL, (18.1, 44.0, 6.0, 1.9), "if the log is now in MPa"),
-        (USUAL, (2610.0, 44.0, 6.0, 1.9), "if the log is now in psi"),
-        (USUAL, (180.0, 113.0, 6.5, 2.0), "if the log is now in degF"),
-        (USUAL, (180.0, 45.0, 0.681, 2.0), "if the log is now in rad/s"),
-        (USUAL, (160.0, 47.0, 7.0, 118.0), "if the log is now in l/h"),
-        (USUAL, (175.0, 45.0, 6.5, 0.53), "if the log is now in us_gal/min"),
+        (USUAL, (18.1, 44.0, 6.0, 1.9), "if the log now has it in MPa"),
+        (USUAL, (2610.0, 44.0, 6.0, 1.9), "if the log now has it in psi"),
+        (USUAL, (180.0, 113.0, 6.5, 2.0), "if the log now has it in degF"),
+        (USUAL, (180.0, 45.0, 0.681, 2.0), "if the log now has it in rad/s"),
+        (USUAL, (160.0, 47.0, 7.0, 118.0), "if the log now has it in l/h"),
+        (USUAL, (175.0, 45.0, 6.5, 0.53), "if the log now has it in us_gal/min"),
         # Nights that only are unusual: idle (the flow falls with the load), a fast cold start (it
         # falls with the oil), ten times the speed, worn, broken, light load, another duty, frost.
         (USUAL, USUAL, ""),
@@ -41,17 +41,18 @@ WITH_PORTS = (*USUAL, 195.0, 15.0)
         (USUAL, (180.0, 8.0, 40.0, 0.3), ""),
         (USUAL, (180.0, 45.0, 65.0, 2.2), ""),
         (USUAL, (180.0, 45.0, 6.5, 5.0), ""),
+        (USUAL, (180.0, 45.0, 6.5, 7.1), ""),
         (USUAL, (180.0, 45.0, 6.5, 16.0), ""),
         (USUAL, (80.0, 30.0, 9.0, 1.2), ""),
         (USUAL, (23.7, 44.0, 30.0, 0.4), ""),
         (USUAL, (180.0, -5.0, 6.5, 2.0), ""),
         # High and low port in MPa, the low one, the high one; of the last one only the difference
         # is known in a night.
-        (WITH_PORTS, (18.0, *USUAL[1:], 19.5, 1.5), "difference 18 bar, before 180 bar: as before"),
-        (WITH_PORTS, (193.5, *USUAL[1:], 195.0, 1.5), "low port pressure 1.5 bar, before 15 bar"),
-        (WITH_PORTS, (4.5, *USUAL[1:], 19.5, 15.0), "high port pressure 19.5 bar, before 195 bar"),
-        (WITH_PORTS, (4.5, *USUAL[1:]), "difference 4.5 bar, before 180 bar: of one of its two"),
-        (WITH_PORTS, (17.0, *USUAL[1:]), "as before if the log is now in MPa"),
+        (WITH_PORTS, (18.0, *USUAL[1:], 19.5, 1.5), "difference 18 bar, usually 180 bar: as usual"),
+        (WITH_PORTS, (193.5, *USUAL[1:], 195.0, 1.5), "low port pressure 1.5 bar, usually 15 bar"),
+        (WITH_PORTS, (4.5, *USUAL[1:], 19.5, 15.0), "high port pressure 19.5 bar, usually 195 bar"),
+        (WITH_PORTS, (4.5, *USUAL[1:]), "difference 4.5 bar, usually 180 bar: of one of its two"),
+        (WITH_PORTS, (17.0, *USUAL[1:]), "as usual if the log now has it in MPa"),
         (WITH_PORTS, WITH_PORTS, ""),
         (WITH_PORTS, (90.5, *USUAL[1:], 195.0, 104.5), ""),
         # A light night of which the flow is mostly flushing.
@@ -68,9 +69,34 @@ def test_other_columns_and_units_are_told_from_unusual_nights(
     units = GAUGES if len(usual) > len(USUAL) else CANONICAL
     spec = load_motor(tmp_path, motor_toml("M1", units=units))
     before, readings = (dict(zip(PORTS, means, strict=False)) for means in (usual, now))
-    why = column_change(spec, before, readings) or ""
-    assert words in why
-    assert bool(why) == bool(words)
+    change = column_change(spec, before, readings)
+    assert (change is None) == (words == "")
+    assert change is None or (words in change.words and not change.is_of_others)
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "other", "as_read"),
+    [
+        ("leakage_flow", "us_gal/min", "l/min", 2.0 * 3.785),
+        ("leakage_flow", "m3/h", "l/min", 2.0 * 1000.0 / 60.0),
+        ("leakage_flow", "l/min", "us_gal/min", 2.0 / 3.785),
+        ("speed", "rad/s", "rpm", 6.5 * 9.549),
+        ("speed", "rpm", "rad/s", 6.5 / 9.549),
+        ("pressure_difference", "psi", "bar", 180.0 / 14.504),
+        ("oil_temperature", "degF", "degC", 7.2),
+    ],
+)
+def test_nights_of_the_unit_before_are_named_whichever_is_configured(
+    tmp_path: Path, channel: str, unit: str, other: str, as_read: float
+) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", units=CANONICAL | {channel: unit}))
+    right = dict(zip(COLUMNS, USUAL, strict=True))
+    wrong = right | {channel: as_read}
+    for usual, now in ((right, wrong), (wrong, right)):
+        change = column_change(spec, usual, now)
+        assert change is not None
+        assert f"has it in {other} where the config has {unit}" in change.words
+        assert change.is_of_others == (now is right)
 
 
 def test_a_run_and_a_check_tell_a_gauge_in_mpa_from_one_night_on(tmp_path: Path) -> None:

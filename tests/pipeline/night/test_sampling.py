@@ -191,6 +191,12 @@ def test_the_stamp_of_a_mean_is_moved_to_its_middle() -> None:
         ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3"),
         ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at"),
         ("time_offset_s = 3600.0", "time_offset_s"),
+        ('earlier_units = [["bar", 2026-01-04T12:00:00Z]]', "earlier_units"),
+        ('earlier_units = [["l/h", 2026-01-04T12:00:00]]', "earlier_units.0.1"),
+        (
+            'earlier_units = [["l/h", 2026-01-04T12:00:00Z], ["l/s", 2026-01-03T12:00:00Z]]',
+            "earlier_units",
+        ),
     ],
 )
 def test_keys_that_do_not_go_together_are_faults_by_name(
