@@ -157,7 +157,7 @@ def notification(_: TinyFleet, folder: Path) -> Case:
     alarms = f'[execution]\nbackend = "sequential"\n[alarms]\n{keep(folder / "told")}\n'
     limits = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = 1.0\n"
     (spec,) = load_fleet(configure(folder, fleet=alarms, limits=limits)).motors
-    publish(folder / "out", Nights(spec, 3).frames())
+    publish(folder / "out", Nights(spec, 3).frames)
     fleet = TinyFleet(folder)
     before = shutil.copytree(folder / "out", folder / "before")
 

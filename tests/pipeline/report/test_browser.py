@@ -31,7 +31,7 @@ from tests.pipeline.report.browser import (
     wait,
 )
 from tests.pipeline.report.conftest import change_table, demo_fleet
-from tests.pipeline.report.judged import HEADLINE, HEALTHY, NIGHTS, NOTE, REASON, WORN
+from tests.pipeline.report.judged import HEADLINE, HEALTHY, NIGHTS, NOTE, REASON, WORN, YOUNG
 from tests.pipeline.report.states import ADVICE, publish_latest, state_of
 
 pytestmark = needs_browser
@@ -113,6 +113,11 @@ def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, told: Pa
         assert len(chart.find_elements(By.CSS_SELECTOR, ".cartesianlayer > .subplot")) == n_panels
         assert chart.find_elements(By.CSS_SELECTOR, ".scatterlayer path.js-line")
     assert set(drawn(browser).values()) == {"chart"}
+    # No button sends a chart away.
+    buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
+    wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
+    assert {button.get_dom_attribute("data-title") for button in buttons} == wanted
+    assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
     assert HEADLINE in browser.find_element(By.ID, "headline").text
     assert f"L{REASON[1:]}." in browser.find_element(By.ID, "sentence").text
     aside = browser.find_element(By.TAG_NAME, "aside").text
@@ -167,10 +172,10 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     assert marked == [NIGHTS[0]]
 
 
-def test_every_motor_s_page_prints_as_a_work_order_on_one_sheet(
-    browser: Chrome, told: Path
-) -> None:
-    for page in sorted((told / "motors").glob("*.html")):
+def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(browser: Chrome, told: Path) -> None:
+    # The fullest page, and that of a motor of which little is known.
+    for motor in (WORN, YOUNG[0]):
+        page = told / "motors" / f"{motor}.html"
         visit(browser, page)
         drawn(browser)
         asked = {"preferCSSPageSize": True}
@@ -194,14 +199,14 @@ def test_every_motor_s_page_prints_as_a_work_order_on_one_sheet(
 RANGE = "return document.querySelector('#course .plot').layout.xaxis.range[0].slice(0, 10)"
 
 
-def test_a_range_of_nights_is_chosen_and_stands_in_the_address(
+def test_a_range_of_nights_stands_in_the_address_and_a_night_without_a_file_says_so(
     browser: Chrome, told: Path, tmp_path: Path
 ) -> None:
     page = tmp_path / "report" / "motors" / f"{WORN}.html"
     shutil.copytree(told, tmp_path / "report")
     # As of a motor with more nights than these three.
-    text = page.read_text("utf-8")
-    page.write_text(text.replace('"ranges":{', '"ranges":{"30":["2026-01-03","2026-01-04"],'))
+    content = page.read_text("utf-8")
+    page.write_text(content.replace('"ranges":{', '"ranges":{"30":["2026-01-03","2026-01-04"],'))
     visit(browser, page)
     drawn(browser)
     assert browser.execute_script(RANGE) < NIGHTS[0]
@@ -211,6 +216,13 @@ def test_a_range_of_nights_is_chosen_and_stands_in_the_address(
     visit(browser, page, f"#{NIGHTS[1]}&range=30")
     assert (wait(browser, NIGHT), browser.execute_script(RANGE)) == (NIGHTS[1], "2026-01-03")
     assert not browser.find_element(By.CSS_SELECTOR, "[data-range='365']").is_enabled()
+    assert complaints(browser) == []
+    # A night whose file was not copied says so.
+    (tmp_path / "report" / "data" / WORN / f"{NIGHTS[2]}.js").unlink()
+    browser.find_element(By.ID, "later").click()
+    wait(browser, f"{NIGHT} === '{NIGHTS[2]}'")
+    assert f"{NIGHTS[2]}.js is not there" in text(browser, "#words")
+    assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
 
 
 def test_motors_are_drawn_in_one_chart_as_they_are_searched(browser: Chrome, told: Path) -> None:
@@ -240,28 +252,6 @@ def test_the_command_that_acknowledges_is_filled_in(
         *("motor-leakage", "ack", "my/fleet.toml", "CB560-01"),
         *("--note", "the customer's rings", "--finding", "confirmed"),
     ]
-
-
-def test_no_button_sends_a_chart_away(browser: Chrome, report: Path) -> None:
-    visit(browser, report / "motors" / "CB400-02.html")
-    drawn(browser)
-    buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
-    wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
-    assert {button.get_dom_attribute("data-title") for button in buttons} == wanted
-    assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
-
-
-def test_a_night_whose_file_was_not_copied_says_so(
-    browser: Chrome, output: Path, tmp_path: Path
-) -> None:
-    page = tmp_path / "r" / "motors" / "CB560-01.html"
-    fleet = demo_fleet(output, "CB560-01")
-    build_report(fleet, tmp_path / "r")
-    (tmp_path / "r" / "data" / "CB560-01" / f"{NIGHTS[2]}.js").unlink()
-    visit(browser, page)
-    wait(browser, NIGHT)
-    assert f"{NIGHTS[2]}.js is not there" in text(browser, "#words")
-    assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
 
 
 # Strangers' words, small screens

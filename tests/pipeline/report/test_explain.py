@@ -31,7 +31,7 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     fleet = load_fleet(own_fleet("CB400-02"))
     log = min((fleet.log_root / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
-    run_fleet(RunRequest(fleet))
+    run_fleet(RunRequest(fleet, until=FIRST))
     told = explain(fleet.output, "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
     assert told[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]

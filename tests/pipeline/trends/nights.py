@@ -10,7 +10,7 @@ import datetime as dt
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -126,6 +126,7 @@ class Nights:
         factors = [self.wear.get(name, np.ones(self.n)) for name in (*PATHS, "C_f")]
         return np.array(values) * np.array(factors).T
 
+    @cached_property
     def frames(self) -> Frames:
         """Rows of `nights`, `fits`, `parameters` and `blocks`."""
         rows: dict[str, list[Row]] = {table.name: [] for table in TABLES}
@@ -137,7 +138,7 @@ class Nights:
     def _add(self, rows: dict[str, list[Row]], place: int, theta: Array) -> None:
         label = night_of(place)
         key = {"motor_id": self.spec.motor_id, "night": label}
-        leakage = float(_reference(self.spec) @ np.append(theta[:-1], (0.0, 1.0)))
+        leakage = float(self._reference @ np.append(theta[:-1], (0.0, 1.0)))
         status = self.statuses.get(place, "ok")
         fit: Row = key | {"flushing_mode": self.mode, "is_primary": True}
         if status != "ok":
@@ -167,6 +168,14 @@ class Nights:
                 | interval
             )
 
+    @cached_property
+    def _reference(self) -> Array:
+        """Columns at the reference conditions."""
+        asked = self.spec.settings.reference
+        at = OperatingConditions.from_bar(asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
+        row: Array = regressors(self.spec.motor(FIRST, self.mode), at)[0]
+        return row
+
     def _hash(self, place: int) -> str:
         return f"hash-{self.spec.file.oil_on(night_of(place))}"
 
@@ -177,6 +186,7 @@ class Nights:
         night = 1.0 + self.noise * NIGHT_ERROR * generator.standard_normal()
         begin = dt.datetime.combine(label - DAY, dt.time(8), dt.UTC)
         designs = _designs(self.spec, self.spec.file.oil_on(label))
+        columns = list(self.spec.motor(label, self.mode).columns)
         rows = []
         for number, (triangle, means) in enumerate(designs):
             error = 1.0 + self.noise * BLOCK_ERROR * generator.standard_normal()
@@ -191,7 +201,7 @@ class Nights:
                     "block_end": start + dt.timedelta(seconds=BLOCK_S),
                     "part": "training",
                     "n": SAMPLES,
-                    "factor_columns": list(self.spec.motor(label, self.mode).columns),
+                    "factor_columns": columns,
                     "factor": whole[np.triu_indices(len(whole))].tolist(),
                     "model_hash": self._hash(place),
                     **means,
@@ -237,15 +247,6 @@ def _design(made: Any, number: int) -> tuple[Array, Row]:
     return factor(regressors(made, at)), means
 
 
-def _reference(spec: MotorSpec) -> Array:
-    """Columns at the reference conditions."""
-    asked = spec.settings.reference
-    made = spec.motor(FIRST, spec.file.flushing.mode)
-    at = OperatingConditions.from_bar(asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
-    row: Array = regressors(made, at)[0]
-    return row
-
-
 def published_trends(output: Path, table: Table, motor_id: str = "M1") -> pl.DataFrame:
     """A motor's published rows of a table."""
     return read_rows(output, table, [motor_id]).drop("run_id").sort(table.key)
@@ -272,7 +273,7 @@ def fleet_of(
         text = motor_toml(file.motor_id, file.motor_type, more=(more or {}).get(file.motor_id, ""))
         files[file.motor_id] = f'oil_circuit = "{file.oil_circuit}"\n{text}'
     config = write_configs(folder, files, {}, fleet=header)
-    publish(folder / "out", *(part_of(motor.frames(), 0, until) for motor in motors))
+    publish(folder / "out", *(part_of(motor.frames, 0, until) for motor in motors))
     return config, folder / "out"
 
 

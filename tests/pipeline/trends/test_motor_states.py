@@ -99,7 +99,7 @@ def test_a_sudden_rise_comes_first_and_a_clear_one_is_not_shown(watched: Path) -
 def test_a_motor_without_logs_is_stale_when_another_goes_on(fleet: tuple[Path, Path]) -> None:
     """It has the figures of its newest night with samples."""
     config, output = fleet
-    publish(output, part_of(Nights(named(motor(), "M2"), N + 9).frames(), N, N + 9))
+    publish(output, part_of(Nights(named(motor(), "M2"), N + 9).frames, N, N + 9))
     before = states(output)["M1"].row
     run(config)
     row = states(output)["M1"].row

@@ -60,7 +60,7 @@ def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[WatchColumns, NightBlo
 
 
 def blocks(spec: MotorSpec, **more: Any) -> tuple[WatchColumns, NightBlocks, pl.DataFrame]:
-    rows = Nights(spec, 1, noise=0.0, **more).frames()[BLOCKS.name]
+    rows = Nights(spec, 1, noise=0.0, **more).frames[BLOCKS.name]
     return *read_by(spec, rows), rows
 
 
