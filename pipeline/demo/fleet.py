@@ -136,7 +136,7 @@ def truth_document(plan: Plan, nights: Iterable[DemoNight]) -> dict[str, Any]:
     """Return content of ``truth.json``: for people and tests, never read by the pipeline."""
     motors: dict[str, dict[str, Any]] = {}
     for night in nights:
-        found, motor, wear = coefficients_of(night), night.motor, night.demo.wear
+        coefficients, motor, wear = coefficients_of(night), night.motor, night.demo.wear
         began = plan.first_night + dt.timedelta(days=wear.first_night - 1)
         about: dict[str, Any] = {
             "wear": wear.words,
@@ -146,9 +146,9 @@ def truth_document(plan: Plan, nights: Iterable[DemoNight]) -> dict[str, Any]:
         }
         gaps = [path.name for path in motor.paths if isinstance(path, AnnularGap)]
         motors.setdefault(night.demo.motor_id, about)["nights"][str(night.label)] = {
-            "K_m3": {name: found[name] for name in gaps},
-            "C_f_l_per_min": found[motor.constant.name] if motor.constant else 0.0,
-            "reference_leakage_l_per_min": reference_leakage(night, found),
+            "K_m3": {name: coefficients[name] for name in gaps},
+            "C_f_l_per_min": coefficients[motor.constant.name] if motor.constant else 0.0,
+            "reference_leakage_l_per_min": reference_leakage(night, coefficients),
         }
     return {**asdict(plan), "first_night": str(plan.first_night), "motors": motors}
 

@@ -237,15 +237,15 @@ def _with_log_faults(night: DemoNight, recording: Recording, rng: Rng) -> Record
     hours, rows = night.plan.minutes / 60.0, recording.time_us.size
     absent = _stretches(rows, hours, MISSING, (20.0, 180.0), rng)
     absent[[0, -1]] = False
-    kept = np.flatnonzero(~absent)
-    time_us = recording.time_us[kept]
-    delays = {name: delay[kept] for name, delay in recording.own_delay_us.items()}
-    repeated = 1 + _some(kept.size - 2, DISORDERED * hours, rng)
+    logged = np.flatnonzero(~absent)
+    time_us = recording.time_us[logged]
+    delays = {name: delay[logged] for name, delay in recording.own_delay_us.items()}
+    repeated = 1 + _some(logged.size - 2, DISORDERED * hours, rng)
     for stamps in (time_us, *delays.values()):
         stamps[repeated] = stamps[repeated - 1]
-    set_back = 1 + _some(kept.size - 2, DISORDERED * hours, rng)
+    set_back = 1 + _some(logged.size - 2, DISORDERED * hours, rng)
     time_us[set_back] = np.maximum(time_us[set_back] - SET_BACK_US, time_us[0])
-    values = {name: values[kept] for name, values in recording.values.items()}
+    values = {name: values[logged] for name, values in recording.values.items()}
     return Recording(time_us, values, delays)
 
 

@@ -88,8 +88,8 @@ def _require_ours(demo: Path) -> None:
     is_there = demo.exists() or demo.is_symlink()
     is_free = not is_there or (demo.is_dir() and not any(demo.iterdir()))
     if not is_free and not (demo / MARKER).is_file():
-        said = f"{demo} is neither empty nor a demo; move it away, or name another folder"
-        raise UsageError("demo_folder", said)
+        message = f"{demo} is neither empty nor a demo; move it away, or name another folder"
+        raise UsageError("demo_folder", message)
 
 
 def _clear(demo: Path) -> None:

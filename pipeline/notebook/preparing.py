@@ -157,8 +157,8 @@ def _labels(text: str) -> list[dt.date]:
     try:
         ends = [dt.date.fromisoformat(day) for day in (first, last or first)]
     except ValueError as error:
-        said = f"{error}: write nights as 2026-01-02 or 2026-01-02..2026-01-08"
-        raise UsageError("period", said) from error
+        message = f"{error}: write nights as 2026-01-02 or 2026-01-02..2026-01-08"
+        raise UsageError("period", message) from error
     if ends[0] > ends[1]:
         raise UsageError("period", f"{text!r} ends before it begins")
     return nights_between(*ends)
@@ -177,8 +177,8 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
         span = f"{min(nights)} to {max(nights)}"
         raise UsageError("unknown_night", f"no log of {spec.motor_id} covers {span}")
     if len({spec.file.oil_on(label) for label in labels}) > 1:
-        said = f"{spec.motor_id} has another oil in some of these nights: choose less"
-        raise UsageError("oil_changed", said)
+        message = f"{spec.motor_id} has another oil in some of these nights: choose less"
+        raise UsageError("oil_changed", message)
     prepared = _joined([_of_logs(spec, logs, label) for label in labels], spec.settings)
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
     return replace(prepared, motor=motor, tolerances=tolerances(spec, labels[-1]))

@@ -84,7 +84,7 @@ def _lines(
         f"probability of a change {percent(comparison.probability)}"
     )
     if comparison.probability > EVEN:
-        likeliest = sorted(comparison.candidates.items(), key=lambda item: -item[1])
+        likeliest = sorted(comparison.candidates.items(), key=lambda pair: -pair[1])
         causes = [f"{cause_words(name)} {percent(p)}" for name, p in likeliest[:MOST_CANDIDATES]]
         yield f"cause: {', '.join(causes)}"
     if comparison.operates_otherwise:

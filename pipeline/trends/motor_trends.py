@@ -214,7 +214,7 @@ def _state_columns(
 
 
 def _of_change(night: NightState, change: Change) -> Row:
-    candidates = sorted(change.candidates.items(), key=lambda item: -item[1])
+    candidates = sorted(change.candidates.items(), key=lambda pair: -pair[1])
     row: Row = {
         "cause": change.cause,
         "cause_probability": change.probability or None,

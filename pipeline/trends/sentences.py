@@ -277,7 +277,7 @@ def _beside_circuit(night: NightState, change: Change) -> str:
 
 def _others(change: Change) -> str:
     """Return what it could be, with probabilities."""
-    several = sorted(change.candidates.items(), key=lambda item: -item[1])
+    several = sorted(change.candidates.items(), key=lambda pair: -pair[1])
     if change.cause == "not_identified":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]
         return f"possible: {', '.join(left)}" if left else ""

@@ -141,10 +141,10 @@ def circuit_of(
     """Return a circuit's motors as their fits are published, and what is remembered of them."""
     own, motors = decisions_of(specs, decisions), []
     for spec in specs:
-        said = own[spec.motor_id]
+        decided = own[spec.motor_id]
         published = as_published(spec, settings.get(spec.motor_id))
         record = records.get(spec.motor_id)
-        motors.append(TrendMotor(published, said, record, trend_hash(published, said)))
+        motors.append(TrendMotor(published, decided, record, trend_hash(published, decided)))
     return tuple(motors)
 
 

@@ -92,23 +92,23 @@
 
   /* Search, chart and order stand in the address, so that a view can be sent. */
   function remember() {
-    const said = new URLSearchParams();
-    if (form.find.value) said.set("find", form.find.value);
-    if (overlay.open) said.set("chart", range);
+    const address = new URLSearchParams();
+    if (form.find.value) address.set("find", form.find.value);
+    if (overlay.open) address.set("chart", range);
     const sorted = headers.find((header) => header.ariaSort);
     if (sorted !== headers[1] || sorted.ariaSort !== "ascending")
-      said.set("sort", `${sorted.cellIndex} ${sorted.ariaSort}`);
-    history.replaceState(null, "", `#${said}`);
+      address.set("sort", `${sorted.cellIndex} ${sorted.ariaSort}`);
+    history.replaceState(null, "", `#${address}`);
   }
 
   function recall() {
-    const said = new URLSearchParams(location.hash.slice(1));
-    form.find.value = said.get("find") ?? "";
-    const [column, order] = said.get("sort")?.split(" ") ?? [1, "ascending"];
+    const address = new URLSearchParams(location.hash.slice(1));
+    form.find.value = address.get("find") ?? "";
+    const [column, order] = address.get("sort")?.split(" ") ?? [1, "ascending"];
     if (headers[column]?.dataset.sort) sort(headers[column], order);
-    if (said.has("chart")) {
+    if (address.has("chart")) {
       overlay.open = true;
-      showRange(said.get("chart"));
+      showRange(address.get("chart"));
     }
     search();
   }

@@ -50,7 +50,7 @@ const motorLeakage = (() => {
   }
 
   function show({ night, words, figure, residuals }) {
-    byId("said").textContent = "";
+    byId("loading").textContent = "";
     byId("words").replaceChildren(
       ...words.flatMap(([title, lines]) => [
         ...(title ? [element("h3", {}, title)] : []),
@@ -71,7 +71,7 @@ const motorLeakage = (() => {
     byId("later").disabled = place >= page.nights.length - 1;
     mark(night);
     if (loaded.has(night)) return show(loaded.get(night));
-    byId("said").textContent = `loading ${night}`;
+    byId("loading").textContent = `loading ${night}`;
     const source = `../data/${encodeURIComponent(page.file)}/${night}.js`;
     const script = element("script", { src: source });
     script.addEventListener("load", () => script.remove());

@@ -40,7 +40,7 @@ from tests.pipeline.faults.fleet import (
     rot_of_footer,
     temporary,
 )
-from tests.pipeline.notification.servers import keep, told
+from tests.pipeline.notification.servers import delivered, keep
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.trends.nights import Nights, configure, publish
 from tests.pipeline.written import night_file
@@ -162,14 +162,14 @@ def notification(_: TinyFleet, folder: Path) -> Case:
     before = shutil.copytree(folder / "out", folder / "before")
 
     def check(output: Path) -> None:
-        found = told(folder)
+        found = delivered(folder)
         assert len({delivery["id"] for delivery in found}) == 1
         assert [change["to_state"] for change in found[0]["changes"]] == ["alarm"]
         (folder / "told").write_text("")
         fleet.run(output)
         (output / "state.db").unlink()
         fleet.run(output)
-        assert told(folder) == []
+        assert delivered(folder) == []
 
     return Case(run, fleet, before, lambda *_: None, check)
 

@@ -60,21 +60,21 @@ def as_frame(time_us: NDArray[np.int64], values: dict[str, Array]) -> pl.DataFra
     return pl.DataFrame({"time": time} | columns)
 
 
-def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object]:
+def differences(fitted: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object]:
     """Figures of a fit to a frame that are not those of the night's rows."""
     (fit,) = rows["fits"]
     figures: dict[str, object] = {}
-    for part, judged in (("training", found.training), ("validation", found.validation)):
+    for part, judged in (("training", fitted.training), ("validation", fitted.validation)):
         figures[f"n_{part}"] = judged.n
         figures[f"{part}_fit_percent"] = judged.fit_percent
         figures[f"{part}_rmse_l_per_min"] = judged.rmse_l_per_min
     differing = {name: figure for name, figure in figures.items() if figure != fit[name]}
-    columns = found.columns()
+    columns = fitted.columns()
     for at, name in enumerate(columns["parameter"]):
-        (row,) = [one for one in rows["parameters"] if one["parameter"] == name]
-        for one in ("value", "lower", "upper", "verdict"):
-            if columns[one][at] != row.get(one):
-                differing[f"{one} {name}"] = columns[one][at]
+        (row,) = [row for row in rows["parameters"] if row["parameter"] == name]
+        for column in ("value", "lower", "upper", "verdict"):
+            if columns[column][at] != row.get(column):
+                differing[f"{column} {name}"] = columns[column][at]
     return differing
 
 
@@ -86,12 +86,12 @@ def test_the_same_figures_as_the_nightly_run_to_the_last_bit(tmp_path: Path, mor
     prepared = replace(prepared, tolerances=tolerances(spec, NIGHT))
     outcome = fit_night(spec, night_of(), raw(time_us, values))
     assert outcome.status == OK
-    found = prepared.fit(spec.motor(NIGHT, "none"))
-    assert differences(found, outcome.rows) == {}
+    fitted = prepared.fit(spec.motor(NIGHT, "none"))
+    assert differences(fitted, outcome.rows) == {}
 
-    told = {(row["channel"], row["reason"]): row["n_refused"] for row in outcome.rows["quality"]}
+    refused = {(row["channel"], row["reason"]): row["n_refused"] for row in outcome.rows["quality"]}
     for row in prepared.refused.iter_rows(named=True):
-        assert told[row["channel"], row["reason"]] == row["n_refused"]
+        assert refused[row["channel"], row["reason"]] == row["n_refused"]
     assert {"out_of_range", "standstill"} <= set(prepared.refused["reason"])
 
 
@@ -103,10 +103,10 @@ def test_the_demo_s_nights_have_the_figures_of_the_nightly_run(
     fits = tables.fits().filter(of_night).collect()
     for fit in fits.iter_rows(named=True):
         motor_id, label = fit["motor_id"], fit["night"]
-        found = prepare_log(demo_folder / "configs" / "fleet.toml", motor_id, label).fit()
+        fitted = prepare_log(demo_folder / "configs" / "fleet.toml", motor_id, label).fit()
         own = {"motor_id": motor_id, "night": label, "flushing_mode": fit["flushing_mode"]}
         parameters = tables.table("parameters").filter(**own).collect().to_dicts()
-        assert differences(found, {"fits": [fit], "parameters": parameters}) == {}
+        assert differences(fitted, {"fits": [fit], "parameters": parameters}) == {}
     assert fits.height == 6
 
 
@@ -147,8 +147,8 @@ def test_tables_hold_all_nights_and_fits_the_primary_ones(tmp_path: Path) -> Non
     write_nights(tmp_path, FITS, frame(FITS, rows))
     tables = open_tables(tmp_path)
     assert tables.table("fits").collect().height == 4
-    found = tables.fits().collect()
-    assert (found["night"].to_list(), found["is_primary"].all()) == (nights, True)
+    fitted = tables.fits().collect()
+    assert (fitted["night"].to_list(), fitted["is_primary"].all()) == (nights, True)
     # What has no files is empty, with its columns.
     assert tables.table("alarms").collect().schema == pl.Schema(ALARMS.schema)
     with pytest.raises(UsageError, match="no table fit; there are nights"):

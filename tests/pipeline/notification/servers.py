@@ -20,7 +20,7 @@ def keep(path: Path) -> str:
     return f"command = {json.dumps(['/bin/sh', '-c', script, str(path)])}"
 
 
-def told(folder: Path) -> list[dict[str, Any]]:
+def delivered(folder: Path) -> list[dict[str, Any]]:
     """Deliveries in the file `told` of a folder."""
     path = folder / "told"
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
@@ -51,14 +51,14 @@ class Hook:
 
 @contextmanager
 def hook() -> Iterator[Hook]:
-    found = Hook()
+    web = Hook()
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
             headers = {name.lower(): value for name, value in self.headers.items()}
-            found.posts.append(Post(self.command, self.path, headers, body))
-            status, location = found.answers.get(self.path, (200, ""))
+            web.posts.append(Post(self.command, self.path, headers, body))
+            status, location = web.answers.get(self.path, (200, ""))
             self.send_response(status)
             if location:
                 self.send_header("Location", location)
@@ -70,11 +70,11 @@ def hook() -> Iterator[Hook]:
             pass
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        found.port = server.server_port
+        web.port = server.server_port
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            yield found
+            yield web
         finally:  # or else a test that fails never ends
             server.shutdown()
             thread.join()

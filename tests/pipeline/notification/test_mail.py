@@ -26,8 +26,8 @@ CERTIFICATE = Path(__file__).with_name("server.pem")
 PASSWORD = "correct horse"  # noqa: S105
 
 
-def change(motor: str, when: str, *said: str, **more: Any) -> dict[str, Any]:
-    row = dict(zip(("from_state", "to_state", "sentence"), said, strict=True))
+def change(motor: str, when: str, *words: str, **more: Any) -> dict[str, Any]:
+    row = dict(zip(("from_state", "to_state", "sentence"), words, strict=True))
     return {"motor_id": motor, "night": when, "cause": None, **row, **more}
 
 

@@ -52,7 +52,7 @@ class Fake:
         self.taken.append(document)
 
     def changes(self) -> list[dict[str, Any]]:
-        return [one for document in self.taken for one in document["changes"]]
+        return [change for document in self.taken for change in document["changes"]]
 
     def motors(self) -> list[str]:
         return [change["motor_id"] for change in self.changes()]
@@ -61,9 +61,9 @@ class Fake:
 @pytest.fixture(autouse=True)
 def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Waits between tries, which cost no time here."""
-    found: list[float] = []
-    monkeypatch.setattr(time, "sleep", lambda seconds: found.append(seconds) if seconds else None)
-    return found
+    pauses: list[float] = []
+    monkeypatch.setattr(time, "sleep", lambda seconds: pauses.append(seconds) if seconds else None)
+    return pauses
 
 
 def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -> dict[str, Any]:
@@ -118,10 +118,10 @@ def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
     past = [row(f"P{n}") for n in range(3)]
     words = row("M1", sentence="other words")
     rows = [*past, words, row("M2"), row("M1", FIRST + dt.timedelta(1))]
-    run(tmp_path, rows, receiver, silent=[one["id"] for one in (*past, words)])
+    run(tmp_path, rows, receiver, silent=[change["id"] for change in (*past, words)])
     run(tmp_path, rows, receiver)
-    found = [(change["motor_id"], change["change"]) for change in receiver.changes()[2:]]
-    assert found == [("M2", "changed"), ("M1", "new")]
+    changes = [(change["motor_id"], change["change"]) for change in receiver.changes()[2:]]
+    assert changes == [("M2", "changed"), ("M1", "new")]
 
 
 def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_dead_receiver_costs_a_run_a_few_tries(tmp_path: Path, hangs: bool, tr
 
 
 def test_a_delivery_that_is_never_taken_does_not_hold_up_the_others(tmp_path: Path) -> None:
-    receiver = Fake(refuses=lambda one: b'"M0"' in one.content)
+    receiver = Fake(refuses=lambda message: b'"M0"' in message.content)
     for number in range(4):
         run(tmp_path, [row(f"M{number}", FIRST + dt.timedelta(number))], receiver)
         assert receiver.motors() == [f"M{n}" for n in range(1, number + 1)]

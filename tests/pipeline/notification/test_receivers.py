@@ -83,8 +83,8 @@ def test_only_the_end_of_the_command_itself_is_waited_for(tmp_path: Path) -> Non
 
 @pytest.fixture
 def server() -> Iterator[Hook]:
-    with hook() as found:
-        yield found
+    with hook() as server:
+        yield server
 
 
 def test_the_delivery_is_posted_with_its_id_time_and_headers(
@@ -128,7 +128,7 @@ NO_BASE64 = "the secret of alarms.webhook_secret is no Base64"
         (TOKEN, "", NOT_SET),
         (TOKEN, "T0KEN\r\nX-Other: 1", NO_HEADER),
         (TOKEN, "T0KENñ", NO_HEADER),
-        *(({"secret": "${HOOK}"}, one, NO_BASE64) for one in ("T0KEN!", "whsec_", "T0KEN")),
+        *(({"secret": "${HOOK}"}, secret, NO_BASE64) for secret in ("T0KEN!", "whsec_", "T0KEN")),
     ],
 )
 def test_a_variable_that_is_none_is_named(

@@ -65,13 +65,13 @@ def visit(browser: Chrome, page: Path, fragment: str = "") -> None:
 
 def complaints(browser: Chrome) -> list[str]:
     """Messages of the console, and a mark if a text was run as code."""
-    said = [entry["message"] for entry in browser.get_log("browser")]
-    return [*said, *(["harmed"] if browser.execute_script("return window.harmed") else [])]
+    messages = [entry["message"] for entry in browser.get_log("browser")]
+    return [*messages, *(["harmed"] if browser.execute_script("return window.harmed") else [])]
 
 
 def wait(browser: Chrome, script: str) -> Any:
     """The value of a script, as soon as it has one."""
-    return WebDriverWait(browser, PATIENCE_S, 0.05).until(lambda one: one.execute_script(script))
+    return WebDriverWait(browser, PATIENCE_S, 0.05).until(lambda page: page.execute_script(script))
 
 
 def drawn(browser: Chrome) -> dict[str, str]:
@@ -80,15 +80,15 @@ def drawn(browser: Chrome) -> dict[str, str]:
     return wait(
         browser,
         "const all = [...document.querySelectorAll('figure.chart')];"
-        "return all.every((one) => one.dataset.drawn)"
-        " && Object.fromEntries(all.map((one) => [one.id, one.dataset.drawn]))",
+        "return all.every((figure) => figure.dataset.drawn)"
+        " && Object.fromEntries(all.map((figure) => [figure.id, figure.dataset.drawn]))",
     )
 
 
 def text(browser: Chrome, selector: str) -> str:
     """Text of all elements that a selector finds, shown or not."""
-    found: list[WebElement] = browser.find_elements(By.CSS_SELECTOR, selector)
-    return " ".join(one.get_attribute("textContent") or "" for one in found)
+    elements: list[WebElement] = browser.find_elements(By.CSS_SELECTOR, selector)
+    return " ".join(element.get_attribute("textContent") or "" for element in elements)
 
 
 def shown(browser: Chrome) -> list[str]:

@@ -89,8 +89,8 @@ def change_table(output: Path, name: str, change: Change, night: str = "*") -> N
 def chromium() -> Iterator[Chrome]:
     from tests.pipeline.report.browser import opened
 
-    with opened() as found:
-        yield found
+    with opened() as browser:
+        yield browser
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def browser(chromium: Chrome) -> Iterator[Chrome]:
 
 
 @pytest.fixture(scope="session")
-def told(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def judged(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of a fleet with a worn, a healthy, a one-pressure and young motors."""
     from tests.pipeline.report.judged import judged_report
 

@@ -36,7 +36,7 @@ HEADLINE = "Leakage +21 % [17, 25] since 4 January 2026, balance sleeve."
 def states() -> list[MotorState]:
     """As a run leaves them that has watched thirty nights; the demo's three are too few."""
     waiting = {"sentence": "3 of 8 nights", "advice": "Wait.", "own_leakage_l_per_min": None}
-    young = [state_of(one, "insufficient", **waiting) for one in YOUNG]
+    young = [state_of(name, "insufficient", **waiting) for name in YOUNG]
     return [state_of(WORN, "alarm", acknowledged=NOTE), state_of(HEALTHY), *young]
 
 
@@ -77,9 +77,9 @@ def judged_report(fitted_output: Path, output: Path) -> Path:
     )
     write_nights(output, ALARMS, frame(ALARMS, [alarm]))
     publish_latest(output, states())
-    said = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)
-    record_decision(output, Decision(WORN, "leakage", said, "acknowledged", nights[2], note=NOTE))
-    seen = Decision(WORN, "", said, "finding", nights[2], None, "", "balance_sleeve", "piston_ring")
+    when = dt.datetime(2026, 1, 5, 9, tzinfo=dt.UTC)
+    record_decision(output, Decision(WORN, "leakage", when, "acknowledged", nights[2], note=NOTE))
+    seen = Decision(WORN, "", when, "finding", nights[2], None, "", "balance_sleeve", "piston_ring")
     record_decision(output, seen)
     fleet = demo_fleet(output)
     nights_of = fleet.settings.nights.model_copy(update={"time_zone": "Europe/Stockholm"})

@@ -102,7 +102,7 @@ def publish(output: Path, table: Table, rows: Iterable[Row]) -> None:
     write_nights(output, table, frame(table, [{"run_id": "r"} | row for row in rows]))
 
 
-def said(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
+def decision(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
     when = dt.datetime(2026, 2, 1, night, tzinfo=dt.UTC)
     return Decision("M1", "leakage", when, kind, night_of(night), **more)  # type: ignore[arg-type]
 

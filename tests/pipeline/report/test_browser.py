@@ -50,21 +50,21 @@ return Math.abs(plot.clientWidth - plot.querySelector('.main-svg').clientWidth) 
 
 
 def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
-    browser: Chrome, told: Path
+    browser: Chrome, judged: Path
 ) -> None:
-    visit(browser, told / "index.html")
+    visit(browser, judged / "index.html")
     every = shown(browser)
     assert len(every) == MOTORS
     assert every[0] == WORN
-    (item,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
-    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE['alarm']}" in item.text
-    assert f"Acknowledged: {NOTE}" in item.text
+    (entry,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
+    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE['alarm']}" in entry.text
+    assert f"Acknowledged: {NOTE}" in entry.text
     find = browser.find_element(By.ID, "find")
     find.send_keys("cb560 insufficient")
     assert shown(browser) == ["CB560-02"]
     assert browser.find_element(By.ID, "shown").text == f"1 of {MOTORS} shown"
     # Who is searched for leaves the others above the table, too.
-    assert not item.is_displayed()
+    assert not entry.is_displayed()
     browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
     wait(browser, "return document.getElementById('shown').textContent === ''")
     header = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th")[3]
@@ -79,17 +79,17 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     # The page's own word: the browser's address follows a moment later.
     address = browser.execute_script("return location.hash")
     seen = shown(browser)
-    visit(browser, told / "index.html", address)
+    visit(browser, judged / "index.html", address)
     assert shown(browser) == seen
-    visit(browser, told / "index.html", "#find=none&sort=99%20up&type=%E0<b>")
+    visit(browser, judged / "index.html", "#find=none&sort=99%20up&type=%E0<b>")
     assert shown(browser) == []
     assert browser.find_element(By.ID, "nothing").is_displayed()
 
 
 def test_a_state_has_its_words_beside_it_and_old_data_are_marked(
-    browser: Chrome, told: Path
+    browser: Chrome, judged: Path
 ) -> None:
-    visit(browser, told / "index.html")
+    visit(browser, judged / "index.html")
     cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
     assert cells[0].text == f"alarm\n{ADVICE['alarm']}"
     assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
@@ -103,8 +103,8 @@ def test_a_state_has_its_words_beside_it_and_old_data_are_marked(
 # A motor
 
 
-def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, told: Path) -> None:
-    visit(browser, told / "motors" / f"{WORN}.html")
+def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, judged: Path) -> None:
+    visit(browser, judged / "motors" / f"{WORN}.html")
     wait(browser, NIGHT)
     # The leakage has three of five: on the right the axis of l/min, and one of the marks.
     for name, n_panels in (("course", 5), ("samples", 4), ("residuals", 4)):
@@ -145,8 +145,8 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     Select(browser.find_element(By.ID, "choose")).select_by_value(NIGHTS[0])
     wait(browser, f"{NIGHT} === '{NIGHTS[0]}'")
     words = browser.find_element(By.ID, "words").text
-    for said in (f"CB400-02, night of {NIGHTS[0]}: fitted", "at the reference (200 bar", "Paths"):
-        assert said in words
+    for part in (f"CB400-02, night of {NIGHTS[0]}: fitted", "at the reference (200 bar", "Paths"):
+        assert part in words
     assert not browser.find_element(By.ID, "earlier").is_enabled()
     browser.find_element(By.ID, "later").send_keys(Keys.ENTER)
     wait(browser, f"{NIGHT} === '{NIGHTS[1]}'")
@@ -172,10 +172,10 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     assert marked == [NIGHTS[0]]
 
 
-def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(browser: Chrome, told: Path) -> None:
+def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(browser: Chrome, judged: Path) -> None:
     # The fullest page, and that of a motor of which little is known.
     for motor in (WORN, YOUNG[0]):
-        page = told / "motors" / f"{motor}.html"
+        page = judged / "motors" / f"{motor}.html"
         visit(browser, page)
         drawn(browser)
         asked = {"preferCSSPageSize": True}
@@ -200,10 +200,10 @@ RANGE = "return document.querySelector('#course .plot').layout.xaxis.range[0].sl
 
 
 def test_a_range_of_nights_stands_in_the_address_and_a_night_without_a_file_says_so(
-    browser: Chrome, told: Path, tmp_path: Path
+    browser: Chrome, judged: Path, tmp_path: Path
 ) -> None:
     page = tmp_path / "report" / "motors" / f"{WORN}.html"
-    shutil.copytree(told, tmp_path / "report")
+    shutil.copytree(judged, tmp_path / "report")
     # As of a motor with more nights than these three.
     content = page.read_text("utf-8")
     page.write_text(content.replace('"ranges":{', '"ranges":{"30":["2026-01-03","2026-01-04"],'))
@@ -225,8 +225,8 @@ def test_a_range_of_nights_stands_in_the_address_and_a_night_without_a_file_says
     assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
 
 
-def test_motors_are_drawn_in_one_chart_as_they_are_searched(browser: Chrome, told: Path) -> None:
-    visit(browser, told / "index.html", "#find=cb560&chart=all")
+def test_motors_are_drawn_in_one_chart_as_they_are_searched(browser: Chrome, judged: Path) -> None:
+    visit(browser, judged / "index.html", "#find=cb560&chart=all")
     drawn_motors = "return document.getElementById('overlay').dataset.drawn"
     wait(browser, f"{drawn_motors} === '2'")
     browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
@@ -354,12 +354,12 @@ return [document.documentElement, ...document.querySelectorAll('.scroll, table, 
 @pytest.mark.parametrize("page", PAGES)
 @pytest.mark.parametrize("width", [390, 768, 1280])
 def test_a_telephone_a_tablet_and_a_desk(
-    browser: Chrome, told: Path, page: str, width: int
+    browser: Chrome, judged: Path, page: str, width: int
 ) -> None:
     """Nothing is wider than its screen, nothing lies on another, no row is high."""
     size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    visit(browser, told / page)
+    visit(browser, judged / page)
     if page == PAGES[1]:
         drawn(browser)
         assert browser.execute_script(OVER_A_CHART) == []
@@ -369,8 +369,8 @@ def test_a_telephone_a_tablet_and_a_desk(
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_without_scripts_the_pages_say_so_and_hold_the_figures(told: Path) -> None:
+def test_without_scripts_the_pages_say_so_and_hold_the_figures(judged: Path) -> None:
     for page, words in zip(PAGES[:2], (HEADLINE, REASON[1:]), strict=True):
-        content = (told / page).read_text("utf-8")
+        content = (judged / page).read_text("utf-8")
         assert "need JavaScript" in content.partition("<noscript>")[2].partition("</noscript>")[0]
         assert words in re.sub(r"<script.*?</script>", "", content, flags=re.DOTALL)

@@ -32,8 +32,8 @@ def build(output: Path, **more: Any) -> ReportResult:
 def packed(path: Path) -> Any:
     """The payload of a motor's page, or of a night's script."""
     marks = r'id="payload">(.*?)</script>' if path.suffix == ".html" else r"^\w+\.night\((.*)\);\n$"
-    (found,) = re.findall(marks, path.read_text("utf-8"), re.DOTALL)
-    return json.loads(found)
+    (payload,) = re.findall(marks, path.read_text("utf-8"), re.DOTALL)
+    return json.loads(payload)
 
 
 def times(folder: Path) -> dict[str, int]:
@@ -66,7 +66,7 @@ def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
     # Ten terms and the states, a link away from each page.
     glossary, *others = pages
     assert glossary.read_text("utf-8").count("<dd>") == 14 + len(STATES)
-    assert all(any("glossary.html" in one for one in Links(page).targets) for page in others)
+    assert all(any("glossary.html" in name for name in Links(page).targets) for page in others)
 
 
 def test_pages_and_nights_are_small_and_hold_no_clock_and_no_path(report: Path) -> None:
@@ -133,7 +133,7 @@ def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(built: P
     manifest.write_text(json.dumps(document))
     change_table(built, "nights", lambda rows: rows.clear(), str(NIGHTS[0]))
     result = build_report(
-        demo_fleet(built, *(one for one in MOTORS if one != MOTOR)), built / "report"
+        demo_fleet(built, *(name for name in MOTORS if name != MOTOR)), built / "report"
     )
     left = contents(built / "report")
     assert own.read_text() == (built / "mine.txt").read_text() == "mine"

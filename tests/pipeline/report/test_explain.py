@@ -22,9 +22,9 @@ def test_a_poor_fit_is_called_one(output: Path) -> None:
     change_table(
         output, "nights", rows_with("CB560-01", validation_fit_percent=-1295.0), f"{FIRST}"
     )
-    (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
-    assert "validation -1295.0 % (poor: worse than a constant flow)" in told
-    assert told.count("poor") == 1
+    (fit,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
+    assert "validation -1295.0 % (poor: worse than a constant flow)" in fit
+    assert fit.count("poor") == 1
 
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
@@ -32,10 +32,10 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     log = min((fleet.log_root / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
     run_fleet(RunRequest(fleet, until=FIRST))
-    told = explain(fleet.output, "CB400-02", FIRST)
-    assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
-    assert told[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
-    assert "\n".join(told).count("does not begin as Parquet does") == 1
+    lines = explain(fleet.output, "CB400-02", FIRST)
+    assert lines[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
+    assert lines[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
+    assert "\n".join(lines).count("does not begin as Parquet does") == 1
 
 
 @pytest.mark.parametrize(

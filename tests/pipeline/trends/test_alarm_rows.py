@@ -90,8 +90,8 @@ def test_changes_of_state(
     rows = rows_of(*states, published=published, news=news)
     assert brief(rows)[-len(expected) :] == expected
     assert brief(rows_of(*states, published=rows, news=news)) == brief(rows)
-    kept = {row["id"] for row in published if row["to_state"] in ("warning", "alarm")}
-    assert kept <= {row["id"] for row in rows}
+    raised = {row["id"] for row in published if row["to_state"] in ("warning", "alarm")}
+    assert raised <= {row["id"] for row in rows}
 
 
 def test_night_by_night_they_are_those_of_one_run() -> None:
@@ -116,8 +116,8 @@ def test_words_of_a_row_end_on_what_to_do_once() -> None:
 
 def row(place: int, before: str, after: str, cause: str | None = None) -> dict[str, Any]:
     key = {"id": f"M1 {night_of(place)} {cause or 'leakage'}", "night": night_of(place)}
-    said = {"from_state": before, "to_state": after, "cause": cause, "sentence": "so"}
-    return key | said | {"closed_as": None}
+    state = {"from_state": before, "to_state": after, "cause": cause, "sentence": "so"}
+    return key | state | {"closed_as": None}
 
 
 RAISED, CLOSED = row(5, "ok", "warning"), row(8, "warning", "ok")
@@ -139,6 +139,6 @@ RAISED, CLOSED = row(5, "ok", "warning"), row(8, "warning", "ok")
 )
 def test_what_of_the_past_is_notified(rows: Rows, published: Rows, places: list[int]) -> None:
     new = new_rows(rows, published)
-    found = [row["night"] for row in without_past(rows, new, published, night_of(20))]
-    assert found == [night_of(place) for place in places]
+    nights = [row["night"] for row in without_past(rows, new, published, night_of(20))]
+    assert nights == [night_of(place) for place in places]
     assert new_rows([RAISED | {"sentence": "in other words"}], [RAISED]) != []

@@ -42,9 +42,9 @@ def rows(output: Path, motor_id: str = "M1") -> dict[Table, pl.DataFrame]:
     return {table: published_trends(output, table, motor_id) for table in TREND_TABLES}
 
 
-def check_same(found: Mapping[Table, pl.DataFrame], expected: Mapping[Table, pl.DataFrame]) -> None:
+def check_same(made: Mapping[Table, pl.DataFrame], expected: Mapping[Table, pl.DataFrame]) -> None:
     for table in TREND_TABLES:
-        assert_frame_equal(found[table], expected[table], check_exact=True)
+        assert_frame_equal(made[table], expected[table], check_exact=True)
 
 
 def run_with(config: Path, output: Path, nights: tuple[Nights, ...], first: int, end: int) -> None:

@@ -23,13 +23,13 @@ SAID = Decision(
 def test_the_oldest_is_first_however_many_write_at_once(tmp_path: Path) -> None:
     assert read_decisions(tmp_path) == ()
     assert list(tmp_path.iterdir()) == []  # where nothing was said nothing is made
-    said = [
+    decisions = [
         replace(SAID, motor_id=f"M{number}", time=WHEN + dt.timedelta(hours=-number))
         for number in range(40)
     ]
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda decision: record_decision(tmp_path, decision), said))
-    assert read_decisions(tmp_path) == tuple(reversed(said))
+        list(pool.map(lambda decision: record_decision(tmp_path, decision), decisions))
+    assert read_decisions(tmp_path) == tuple(reversed(decisions))
 
 
 @pytest.mark.parametrize("harm", [Path.mkdir, lambda path: path.write_bytes(b"no database" * 99)])

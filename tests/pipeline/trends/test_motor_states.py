@@ -77,10 +77,10 @@ def test_what_was_said_since_the_run_counts(fleet: tuple[Path, Path]) -> None:
     _, output = fleet
     since = states(output)["M1"].row["state_since"]
     when = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
-    said = Decision("M1", "leakage", when, "acknowledged", since - DAY, None, "too early")
-    record_decision(output, said)
+    early = Decision("M1", "leakage", when, "acknowledged", since - DAY, None, "too early")
+    record_decision(output, early)
     assert states(output)["M1"].row["acknowledged"] is None
-    record_decision(output, replace(said, night=since, note="rings ordered"))
+    record_decision(output, replace(early, night=since, note="rings ordered"))
     assert states(output)["M1"].row["acknowledged"] == "rings ordered"
 
 
@@ -147,8 +147,8 @@ def test_a_log_of_no_night_is_reported_once_and_stands_in_one_row(workshop: Work
     # An older log comes: the row goes where the motor begins now.
     workshop.log(night)
     assert workshop.run().status == "ok"
-    found = workshop.rows("log_files").filter(status="failed")
-    assert found.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]
+    newest = workshop.rows("log_files").filter(status="failed")
+    assert newest.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]
 
 
 KEPT = [(0, "M1", "ok", 8.0), (1, "M2", "insufficient_data", 0.5), (2, "M1", "stood_still", 0.0)]
@@ -174,10 +174,10 @@ def test_the_newest_night_is_that_of_which_samples_are_kept(
     """Rows of nights by place, motor, outcome and kept hours."""
     for place, motor_id, status, hours in rows:
         night = night_of(place)
-        kept = dt.datetime.combine(night, dt.time(12), dt.UTC) if hours else None
-        row = {"motor_id": motor_id, "night": night, "status": status, "last_sample": kept}
+        last_sample = dt.datetime.combine(night, dt.time(12), dt.UTC) if hours else None
+        row = {"motor_id": motor_id, "night": night, "status": status, "last_sample": last_sample}
         write_nights(tmp_path, NIGHTS, frame(NIGHTS, [row]))
     with read_state_file(tmp_path) as state:
-        found = newest_night_of(state, MOTORS, night_of(latest))
-    assert found == expected
-    assert found is None or found.of("M4") == found.night
+        newest = newest_night_of(state, MOTORS, night_of(latest))
+    assert newest == expected
+    assert newest is None or newest.of("M4") == newest.night

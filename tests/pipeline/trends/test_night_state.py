@@ -53,10 +53,10 @@ def waiting(n: int, **more: Any) -> NightState:
     return with_state(replace(night, **more))
 
 
-def watched(found: Change | None = None, **more: Any) -> NightState:
+def watched(changed: Change | None = None, **more: Any) -> NightState:
     """Night 30 with a baseline of eight nights; `more` are fields of it or of its verdict."""
-    size = Estimate(0.0, 0.01) if found is None else found.size
-    verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, found, size, size, 0.023)
+    size = Estimate(0.0, 0.01) if changed is None else changed.size
+    verdict = Verdict(night_of(AT).toordinal(), 1.0, LIMIT, 0.005, changed, size, size, 0.023)
     in_verdict = {name: more.pop(name) for name in Verdict.__slots__ if name in more}
     machine = SimpleNamespace(paths=(*PATHS, "known"), gaps=PATHS)
     in_force = SimpleNamespace(circuit=more.pop("circuit", None))
@@ -134,8 +134,8 @@ def test_limits_of_the_motor_type_count_with_97_percent(leakage: float, expected
 )
 def test_where_the_model_is_disproved_no_part_is_named(cause: str, lack: float, named: str) -> None:
     candidates = {cause: 0.6, RING: 0.2, "oil_grade": 0.2}
-    found = change(cause, path_growth=Estimate(0.5, 0.02), candidates=candidates)
-    night = watched(found, lack_of_fit=lack)
+    changed = change(cause, path_growth=Estimate(0.5, 0.02), candidates=candidates)
+    night = watched(changed, lack_of_fit=lack)
     assert night.change.cause == named
     assert (night.gap_growth is None) == (named != SLEEVE)
     assert (RING in night.change.candidates) == (lack <= 0.05)
@@ -143,8 +143,8 @@ def test_where_the_model_is_disproved_no_part_is_named(cause: str, lack: float, 
 
 
 def test_the_verdict_on_the_model_is_its_lack_of_fit() -> None:
-    found = [model_verdict(lack) for lack in (0.02, 0.0201, 0.05, 0.0501)]
-    assert found == ["supported", "doubtful", "doubtful", "disproved"]
+    verdicts = [model_verdict(lack) for lack in (0.02, 0.0201, 0.05, 0.0501)]
+    assert verdicts == ["supported", "doubtful", "doubtful", "disproved"]
     assert waiting(5).model_verdict is None
 
 

@@ -71,19 +71,19 @@ def theta_of(spec: MotorSpec, mode: str = "none") -> list[float]:
 def test_means_are_those_of_the_samples() -> None:
     """Flow and drives of a block by the law of each path, without the statistics in between."""
     spec = motor()
-    watch_columns, found, rows = blocks(spec)
+    watch_columns, night, rows = blocks(spec)
     assert (watch_columns.watched, watch_columns.gaps) == ((*PATHS, "known"), PATHS)
-    assert found.day == FIRST.toordinal()
+    assert night.day == FIRST.toordinal()
     names = ("temperature_c", "pressure_bar", "speed_rpm")
     celsius, bar, rpm = (rows[f"mean_{name}"][3] for name in names)
     at = OperatingConditions.from_bar(
         bar + np.linspace(-10.0, 10.0, SAMPLES), np.full(SAMPLES, celsius), np.full(SAMPLES, rpm)
     )
     columns = regressors(spec.motor(FIRST, "none"), at).mean(axis=0)
-    assert found.drives[3] == pytest.approx(columns[[0, 1, 2, 4]])
-    assert found.flow[3] == pytest.approx(columns @ [*theta_of(spec), 0.0, 1.0])
-    assert found.conditions[3] == pytest.approx([celsius, bar, rpm])
-    assert found.middle_s == pytest.approx(120.0 + 240.0 * np.arange(N_BLOCKS))
+    assert night.drives[3] == pytest.approx(columns[[0, 1, 2, 4]])
+    assert night.flow[3] == pytest.approx(columns @ [*theta_of(spec), 0.0, 1.0])
+    assert night.conditions[3] == pytest.approx([celsius, bar, rpm])
+    assert night.middle_s == pytest.approx(120.0 + 240.0 * np.arange(N_BLOCKS))
 
 
 def test_an_estimated_flushing_is_a_path_and_a_stated_one_is_taken_off() -> None:
@@ -111,13 +111,13 @@ def test_a_roller_whose_scale_is_free_is_a_path_of_its_own() -> None:
     spec = motor()
     _, stated, rows = blocks(spec)
     free = replace(spec, roller_is_free=True)
-    watch_columns, found = read_by(free, rows)
+    watch_columns, night = read_by(free, rows)
     (roller,) = set(watch_columns.paths) - set(PATHS)
     assert roller not in watch_columns.gaps
     assert watch_columns.watched == watch_columns.paths
     at = watch_columns.paths.index(roller)
-    assert theta_of(free)[at] * found.drives[:, at] == pytest.approx(stated.drives[:, -1])
-    assert found.flow == pytest.approx(stated.flow)
+    assert theta_of(free)[at] * night.drives[:, at] == pytest.approx(stated.drives[:, -1])
+    assert night.flow == pytest.approx(stated.flow)
 
 
 def logged(spec: MotorSpec) -> MotorSpec:
@@ -131,9 +131,9 @@ def test_an_oil_that_is_measured_scales_what_it_drives_and_is_no_cause() -> None
     spec = motor()
     sample = OilSample(date=FIRST, viscosity_40_c_mm2_per_s=0.8 * 68.0)
     watch_columns, sheet, rows = blocks(spec)
-    _, found = read_by(with_file(spec, oil_samples=(sample,)), rows)
-    assert (found.drives / sheet.drives).min() > 1.15
-    assert found.flow == pytest.approx(sheet.flow)
+    _, night = read_by(with_file(spec, oil_samples=(sample,)), rows)
+    assert (night.drives / sheet.drives).min() > 1.15
+    assert night.flow == pytest.approx(sheet.flow)
     # Kinematic viscosity of the VG 68 of the data sheet at 40 and 100 °C.
     assert watch_columns.machine(spec, FIRST).oil == pytest.approx((68.0, 8.7), rel=1e-3)
     assert watch_columns.machine(logged(spec), FIRST).oil is None
@@ -144,13 +144,13 @@ SCATTER = 0.002
 
 
 def nights_with(
-    columns: Mapping[str, Any], spec: MotorSpec | None = None, *said: Decision, n: int = N
+    columns: Mapping[str, Any], spec: MotorSpec | None = None, *decisions: Decision, n: int = N
 ) -> PublishedNights:
     """Nights in a row, with columns of what is remembered of them."""
     records = blank_records([night_of(place) for place in range(n)])
     for name, values in columns.items():
         records[name] = values
-    return PublishedNights(TrendMotor(spec or motor(), said), records=records)
+    return PublishedNights(TrendMotor(spec or motor(), decisions), records=records)
 
 
 def halts(moved: np.ndarray | float, pressure: np.ndarray | float = 0.0) -> dict[str, np.ndarray]:
@@ -172,15 +172,15 @@ def moved(size: float, first: int = AT, end: int = N) -> np.ndarray:
 
 
 def zeros_of(
-    columns: dict[str, np.ndarray], spec: MotorSpec | None = None, *said: Decision
+    columns: dict[str, np.ndarray], spec: MotorSpec | None = None, *decisions: Decision
 ) -> dict[str, Zero]:
-    return sensor_zeros(nights_with(columns, spec, *said))
+    return sensor_zeros(nights_with(columns, spec, *decisions))
 
 
 def test_a_drift_is_reported_with_its_size() -> None:
     """A drift of 0.02 l/min moves K of the rings by 11 % (model.md, section 5)."""
-    found = zeros_of(halts(moved(0.02)))
-    zero = found[FLOW_ZERO]
+    zeros = zeros_of(halts(moved(0.02)))
+    zero = zeros[FLOW_ZERO]
     # By the end the last thirty halts, all of them after the step, stand against the first thirty.
     assert zero.lower[-1] <= 0.02 <= zero.upper[-1]
     # Half of them lie behind the step once their mean is beyond the tolerance of 0.01 l/min.
@@ -189,7 +189,7 @@ def test_a_drift_is_reported_with_its_size() -> None:
     assert words.startswith("the zero of the flow sensor has moved by +0.0")
     assert words.endswith("]: check it before the motor")
     assert (zero.state[AT - 1], zero.words(AT - 1)) == ("ok", "")
-    assert set(found[PRESSURE_ZERO].state[10:]) == {"ok"}
+    assert set(zeros[PRESSURE_ZERO].state[10:]) == {"ok"}
 
 
 @pytest.mark.parametrize(("half_width", "is_notice"), [(0.02, True), (0.001, False)])
@@ -237,9 +237,9 @@ def test_a_sensor_that_was_put_right_begins_anew() -> None:
 
 
 def test_where_the_flushing_is_estimated_nobody_knows_the_flow_sensors_zero() -> None:
-    found = zeros_of(halts(moved(0.3)), motor(more=ESTIMATED))
-    assert set(found[FLOW_ZERO].state) == {"insufficient"}
-    assert found[PRESSURE_ZERO].state[-1] == "ok"
+    zeros = zeros_of(halts(moved(0.3)), motor(more=ESTIMATED))
+    assert set(zeros[FLOW_ZERO].state) == {"insufficient"}
+    assert zeros[PRESSURE_ZERO].state[-1] == "ok"
 
 
 def sample(place: int, at_40: float | None = None, water: float | None = None) -> OilSample:
@@ -285,11 +285,14 @@ Begins = list[tuple[int, str]]
 
 
 def begins(
-    spec: MotorSpec, *said: Decision, models: Mapping[int, str] | None = None, of: str = "leakage"
+    spec: MotorSpec,
+    *decisions: Decision,
+    models: Mapping[int, str] | None = None,
+    of: str = "leakage",
 ) -> Begins:
     """Baseline periods of nights with statistics of these models, else of their oil's."""
     made = [(models or {}).get(n, spec.file.oil_on(night_of(n))).encode() for n in range(FEW)]
-    nights = nights_with({"known": True, "model": made}, spec, *said, n=FEW)
+    nights = nights_with({"known": True, "model": made}, spec, *decisions, n=FEW)
     periods = nights.periods(of)
     for period in periods:
         assert period_at(periods, period.first) is period_at(periods, period.end - 1) is period
@@ -314,8 +317,8 @@ def test_what_begins_a_baseline(events: tuple[Event, ...], further: Begins) -> N
 
 def test_other_settings_of_the_statistics_begin_one() -> None:
     models = dict.fromkeys(range(12, FEW), "other")
-    found = begins(motor(), models=models)
-    assert found == [(0, "first nights"), (12, f"other settings from {night_of(12)}")]
+    periods = begins(motor(), models=models)
+    assert periods == [(0, "first nights"), (12, f"other settings from {night_of(12)}")]
     # A night without statistics is of none.
     assert begins(motor(), models=models | {12: ""})[1][0] == 13
 
@@ -326,18 +329,18 @@ def test_other_settings_of_the_statistics_begin_one() -> None:
 )
 def test_a_reset_is_of_the_leakage_or_of_a_sensor(of: str, expected: list[int]) -> None:
     resets = reset(5), reset(8, "K_piston_ring"), reset(11, "flow_zero")
-    found = begins(motor(), *resets, of=of)
-    assert [first for first, _ in found] == expected
-    assert found[1][1] == f"reset from {night_of(5)}"
+    periods = begins(motor(), *resets, of=of)
+    assert [first for first, _ in periods] == expected
+    assert periods[1][1] == f"reset from {night_of(5)}"
 
 
 def test_every_night_is_one_until_a_motor_was_silent_for_long() -> None:
     records = blank_records([night_of(0), night_of(3)])
     records["known"] = True
     until = night_of(3 + LONGEST_SILENCE + 50)
-    found = every_night(records, until)
-    assert found["night"].tolist() == [night_of(0) + n * DAY for n in range(4 + LONGEST_SILENCE)]
-    assert found["known"].nonzero()[0].tolist() == [0, 3]
+    every = every_night(records, until)
+    assert every["night"].tolist() == [night_of(0) + n * DAY for n in range(4 + LONGEST_SILENCE)]
+    assert every["known"].nonzero()[0].tolist() == [0, 3]
     assert len(every_night(records, night_of(-1))) == 0
     # Once more, as a run finds them kept: blank nights are no nights of a log.
-    assert every_night(found, until).tobytes() == found.tobytes()
+    assert every_night(every, until).tobytes() == every.tobytes()

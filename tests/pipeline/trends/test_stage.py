@@ -186,7 +186,7 @@ def span(first: int, last: int = 39) -> tuple[dt.date, dt.date]:
 
 
 @pytest.mark.parametrize(
-    ("last", "changed", "said", "specs", "expected"),
+    ("last", "changed", "decisions", "specs", "expected"),
     [
         pytest.param(None, {"A": 0, "B": None}, (), SPECS, {"A": ALL, "B": ALL}, id="at first"),
         pytest.param(
@@ -218,19 +218,19 @@ def test_which_nights_are_to_be_made(
     tmp_path: Path,
     last: int | None,
     changed: dict[str, int | None],
-    said: tuple[Decision, ...],
+    decisions: tuple[Decision, ...],
     specs: tuple[object, ...],
     expected: dict[str, tuple[dt.date, dt.date]],
 ) -> None:
     asked = {name: None if place is None else night_of(place) for name, place in changed.items()}
-    assert to_be_made(tmp_path, asked, last, said, specs) == expected
+    assert to_be_made(tmp_path, asked, last, decisions, specs) == expected
 
 
 def to_be_made(
     output: Path,
     changed: dict[str, dt.date | None],
     last: int | None,
-    said: tuple[Decision, ...] = (),
+    decisions: tuple[Decision, ...] = (),
     specs: tuple[object, ...] = SPECS,
     touched: tuple[tuple[str, dt.date], ...] = (),
 ) -> dict[str, tuple[dt.date, dt.date]]:
@@ -239,15 +239,16 @@ def to_be_made(
         for spec in SPECS if last is not None else ():
             write_record(state, spec.motor_id, Record(trend_hash(spec, ()), night_of(last)))
         note_touched(state, touched)
-        circuit = circuit_of(specs, said, read_records(state), {})
+        circuit = circuit_of(specs, decisions, read_records(state), {})
     motors = with_spans(circuit, changed, NewestNight(night_of(39)))
-    return {one.spec.motor_id: (one.first, one.until) for one in motors if one.first is not None}
+    asked = (motor for motor in motors if motor.first is not None)
+    return {motor.spec.motor_id: (motor.first, motor.until) for motor in asked}
 
 
 def test_what_a_broken_run_left_is_done_by_the_next(tmp_path: Path) -> None:
     touched = (("B", night_of(25)), ("B", night_of(31)), ("C", night_of(0)))
-    found = to_be_made(tmp_path, {"A": None, "B": None}, 39, touched=touched)
-    assert found == {"A": span(25), "B": span(25)}
+    spans = to_be_made(tmp_path, {"A": None, "B": None}, 39, touched=touched)
+    assert spans == {"A": span(25), "B": span(25)}
 
 
 def test_a_broken_motor_takes_no_other_down(
@@ -266,7 +267,9 @@ def test_a_broken_motor_takes_no_other_down(
     staging.mkdir()
     asked = {"A": night_of(0), "B": night_of(0)}
     circuit = with_spans(circuit_of(SPECS, (), {}, {}), asked, NewestNight(night_of(4)))
-    found = run_trends(TrendTask((circuit,), tmp_path, staging))
-    assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
-    assert {name: record.last_night for name, record in found.records.items()} == {"B": night_of(4)}
+    outcome = run_trends(TrendTask((circuit,), tmp_path, staging))
+    assert outcome.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
+    assert [(name, record.last_night) for name, record in outcome.records.items()] == [
+        ("B", night_of(4))
+    ]
     assert checkpoint_file(staging, "B").exists()
