@@ -45,24 +45,24 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
     `tolerance`: Stated tolerance of the sensor's zero [unit]: a smaller move is no drift, however
     certain.
     """
-    kept = np.isfinite(zeros) & np.isfinite(errors)
-    count = np.cumsum(kept, dtype=np.int64)
+    counts = np.isfinite(zeros) & np.isfinite(errors)
+    count = np.cumsum(counts, dtype=np.int64)
     # The last halt that counts is what each halt knows.
     last = np.maximum(count - 1, 0)
     size = np.minimum(count // 2, MOST_HALTS)
     known = size >= LEAST_HALTS
     size = np.where(known, size, LEAST_HALTS)
-    if not kept.any():
+    if not counts.any():
         nothing = np.full(len(zeros), np.nan)
         return ZeroCourse(known, nothing, nothing, nothing, nothing)
     # The first one, not their middle: what is known after a halt must not hang on later ones.
-    reference = float(zeros[kept][0])
+    reference = float(zeros[counts][0])
     value, square, square_error = (
         np.concatenate([[0.0], np.cumsum(part)])
         for part in (
-            zeros[kept] - reference,
-            (zeros[kept] - reference) ** 2,
-            errors[kept] ** 2,
+            zeros[counts] - reference,
+            (zeros[counts] - reference) ** 2,
+            errors[counts] ** 2,
         )
     )
 

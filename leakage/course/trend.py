@@ -243,18 +243,18 @@ def time_to_limit(
     >>> nights = np.arange(100)
     >>> noise = 0.004 * np.random.default_rng(1).standard_normal(100)
     >>> rising = 1.0 + 0.001 * nights + noise
-    >>> found = time_to_limit(nights, 8.0 * nights, rising, limit=1.15, horizon=14_600.0)
-    >>> found.status, found.lower < 8 * 51 < found.upper
+    >>> time = time_to_limit(nights, 8.0 * nights, rising, limit=1.15, horizon=14_600.0)
+    >>> time.status, time.lower < 8 * 51 < time.upper
     ('finite', True)
     """
-    kept = np.isfinite(values)
-    if int(kept.sum()) < LEAST_NIGHTS or not np.ptp(position[kept]) > 0.0:
+    known = np.isfinite(values)
+    if int(known.sum()) < LEAST_NIGHTS or not np.ptp(position[known]) > 0.0:
         return TimeToLimit("insufficient")
-    reach = float(position[-1] - position[kept][0])
-    u, y = (position[kept] - position[kept][0]) / reach, values[kept] / limit
+    reach = float(position[-1] - position[known][0])
+    u, y = (position[known] - position[known][0]) / reach, values[known] / limit
     farthest = max(horizon / reach, 2.0 * FIRST_FAR)
     ahead = np.append(NEAR, np.geomspace(FIRST_FAR, farthest, FAR_STEPS))
-    by_shape, rising = _crossed_by_shape(nights[kept], u, y, 1.0 + ahead)
+    by_shape, rising = _crossed_by_shape(nights[known], u, y, 1.0 + ahead)
     if by_shape[0] >= 0.5:
         return TimeToLimit("already_crossed", lower=0.0, upper=0.0)
     if rising <= 0.5:
@@ -296,10 +296,10 @@ def _prior() -> Array:
 _PRIOR = _prior()
 
 
-def _squares(found: CourseFits) -> Array:
+def _squares(fits: CourseFits) -> Array:
     """Return sum of the squared residuals of each shape."""
-    values = found.centred[:, 0]
-    left: Array = float(values @ values) - found.slopes**2 * found.spans
+    values = fits.centred[:, 0]
+    left: Array = float(values @ values) - fits.slopes**2 * fits.spans
     return np.maximum(left, len(values) * ROUNDING**2)
 
 
@@ -309,18 +309,18 @@ def _crossed_by_shape(nights: Places, u: Array, y: Array, at: Array) -> tuple[Ar
     columns = np.column_stack([np.ones(len(u)), y, _shapes(u).T])
     plain = CourseFits.of(columns)
     best = plain.residuals(int(np.argmin(_squares(plain))))
-    found = CourseFits.of(whitened(columns, estimated_phi(best, nights), nights))
-    squares = _squares(found)
-    log_weights = np.log(_PRIOR / np.sqrt(found.spans))
+    fits = CourseFits.of(whitened(columns, estimated_phi(best, nights), nights))
+    squares = _squares(fits)
+    log_weights = np.log(_PRIOR / np.sqrt(fits.spans))
     log_weights -= TEMPERING * freedom / 2.0 * np.log(squares)
     weights = np.exp(log_weights - np.max(log_weights))
     weights /= weights.sum()
     variance = squares / freedom
-    beyond = _shapes(at) - found.middles[:, None]
-    above = found.level - 1.0 + found.slopes[:, None] * beyond
-    error = variance[:, None] * (1.0 / found.length + beyond**2 / found.spans[:, None])
+    beyond = _shapes(at) - fits.middles[:, None]
+    above = fits.level - 1.0 + fits.slopes[:, None] * beyond
+    error = variance[:, None] * (1.0 / fits.length + beyond**2 / fits.spans[:, None])
     crossed: Array = weights @ _student(above / np.sqrt(error), freedom)
-    rising = _student(found.slopes * np.sqrt(found.spans / variance), freedom)
+    rising = _student(fits.slopes * np.sqrt(fits.spans / variance), freedom)
     return crossed, float(weights @ rising)
 
 

@@ -63,24 +63,24 @@ def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
     slow = slow_errors(blocks.factors, blocks.number, fixed, lower, whole)
     white = whitened(blocks.factors, blocks.number, slow)
     fitted = merge(white) if slow.are_slow else whole
-    found = fit(fitted, motor)
+    best = fit(fitted, motor)
     # An estimate on a bound: the slopes ask for what no gap can do.
-    if slow.are_slow and (slow.scales or not found.proven_minimum.off_bounds[~fixed].all()):
+    if slow.are_slow and (slow.scales or not best.proven_minimum.off_bounds[~fixed].all()):
         fitted = with_level(blocks.factors, blocks.number, slow)
-        found = fit(fitted, motor)
+        best = fit(fitted, motor)
     if slow.hides_level(blocks.number):
         # The level would be left to a single block, from which nobody can tell how sure it is.
         adding = slow_errors(blocks.factors, blocks.number, fixed, lower, whole, scales=False)
         adding = replace(adding, evidence=slow.evidence)
         white = whitened(blocks.factors, blocks.number, adding)
     return BlockEstimate(
-        fit=found,
+        fit=best,
         training=training,
         whole=whole,
         fitted=fitted,
         slow=slow,
         whitened=white,
         misfit=misfit(
-            blocks.factors, blocks.number, found.coefficients, fixed, blocks.means, slow.scales
+            blocks.factors, blocks.number, best.coefficients, fixed, blocks.means, slow.scales
         ),
     )

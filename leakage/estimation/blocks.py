@@ -64,13 +64,13 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
 
     z = np.asarray(z, dtype=np.float64)
     columns = z.shape[1]
-    found = np.zeros((len(borders) - 1, columns, columns))
-    for block, begin, end in zip(found, borders[:-1], borders[1:], strict=True):
+    triangles = np.zeros((len(borders) - 1, columns, columns))
+    for block, begin, end in zip(triangles, borders[:-1], borders[1:], strict=True):
         if begin < end:
             r = dgeqrf(z[begin:end])[0][:columns]
             block[: len(r)] = r
-    _require_finite("samples", found)
-    return _positive(found)
+    _require_finite("samples", triangles)
+    return _positive(triangles)
 
 
 def merge(factors_in_time_order: Array) -> Array:
@@ -241,8 +241,8 @@ def _parts_as_chosen(
         part: np.logical_and.reduceat(within(time_us, stretches), starts)
         for part, stretches in periods.items()
     }
-    found = np.select(list(whole.values()), list(whole), GUARD)
-    return [str(part) for part in found]
+    parts = np.select(list(whole.values()), list(whole), GUARD)
+    return [str(part) for part in parts]
 
 
 def within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:

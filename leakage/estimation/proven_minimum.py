@@ -105,10 +105,10 @@ def certify(r: Array, lower: Array, upper: Array) -> ProvenMinimum:
     box = (lower * scale)[free], (upper * scale)[free]
     without = _least_norm(scaled[:, free], remaining)
     unbounded[free] = without / scale[free]
-    found = _bounded_minimum(scaled[:, free], remaining, *box, without)
+    bounded = _bounded_minimum(scaled[:, free], remaining, *box, without)
     # A bound that was scaled and scaled back is off by rounding: take the bound itself.
-    sides = [found <= box[0], found >= box[1]]
-    solution[free] = np.select(sides, [lower[free], upper[free]], found / scale[free])
+    sides = [bounded <= box[0], bounded >= box[1]]
+    solution[free] = np.select(sides, [lower[free], upper[free]], bounded / scale[free])
     solution = np.clip(solution, lower, upper)
     width = np.where(fixed, 1.0, upper - lower)
     at_lower = free & (solution - lower <= BOUND_TOLERANCE * width)
@@ -339,7 +339,7 @@ def search(
 
     starts = []
     for point in points_of(free, starting_points, generator):
-        found = least_squares(
+        end = least_squares(
             residual,
             point,
             jac="3-point",
@@ -354,5 +354,5 @@ def search(
             gtol=GRADIENT_TOLERANCE,
             max_nfev=maximum_iterations,
         )
-        starts.append(Start(criterion(r, coefficients_at(motor, found.x)), point, found.x))
+        starts.append(Start(criterion(r, coefficients_at(motor, end.x)), point, end.x))
     return Search(proven_minimum, tuple(starts))

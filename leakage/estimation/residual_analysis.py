@@ -160,8 +160,8 @@ def analyse_residuals(
     >>> rng = np.random.default_rng(1)
     >>> speed = rng.normal(size=5000)
     >>> error = 0.1 * np.roll(speed, 3) + rng.normal(size=5000)
-    >>> found = analyse_residuals(error, {"speed": speed}, np.arange(5000))
-    >>> found.whiteness.verdict, found.independence["speed"].verdict
+    >>> analysis = analyse_residuals(error, {"speed": speed}, np.arange(5000))
+    >>> analysis.whiteness.verdict, analysis.independence["speed"].verdict
     ('passed', 'failed')
     """
     n, reason = len(error), ""

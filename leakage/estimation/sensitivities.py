@@ -278,5 +278,5 @@ def effects_elsewhere(
     unexplained = signs * [effects[source.name][1] for source in known] - moved - slopes @ theta
     theta = theta * (1.0 + np.linalg.lstsq(slopes * theta, unexplained)[0])
     slopes, moved = changes(after)
-    found = signs * (slopes @ theta + moved)
-    return dict(zip((source.name for source in known), found.tolist(), strict=True))
+    effects_after = signs * (slopes @ theta + moved)
+    return dict(zip((source.name for source in known), effects_after.tolist(), strict=True))

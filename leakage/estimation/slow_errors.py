@@ -126,8 +126,8 @@ class Means(NamedTuple):
 
     def grams(self) -> Array:
         """Return what they say of the columns, shape (b, c, c)."""
-        found: Array = (self.n[:, None] * self.values)[:, :, None] * self.values[:, None]
-        return found
+        outer: Array = (self.n[:, None] * self.values)[:, :, None] * self.values[:, None]
+        return outer
 
 
 def slow_errors(
@@ -172,14 +172,13 @@ def slow_errors(
     variance, within = min(errors.values(), key=lambda error: error[0] * error[1])
     if not variance * sample_count(whole) > (ROUNDING * np.linalg.norm(whole[:, -1])) ** 2:
         return NOT_SLOW
-    found = {
+    estimates = {
         scales: _most_likely(whole @ design, block, variance * within)
         for scales, block in blocks.items()
     }
-    scales = max(sorted(found, reverse=True), key=lambda direction: found[direction][2])
-    return SlowErrors(
-        found[scales][0], found[scales][1], within, found[scales][2], scales, directions[scales]
-    )
+    scales = max(sorted(estimates, reverse=True), key=lambda direction: estimates[direction][2])
+    memory, ratio, evidence = estimates[scales]
+    return SlowErrors(memory, ratio, within, evidence, scales, directions[scales])
 
 
 def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, float, float]:
@@ -190,8 +189,8 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
     rank = free.shape[1] - 1
     memories, ratios = (values.ravel() for values in np.meshgrid(MEMORIES, RATIOS))
     seen = float(np.average(means.values[:, rank] ** 2, weights=means.n))
-    kept = ratios <= LARGEST_SLOW * seen * means.usual_n / variance
-    memories, ratios = memories[kept], ratios[kept]
+    possible = ratios <= LARGEST_SLOW * seen * means.usual_n / variance
+    memories, ratios = memories[possible], ratios[possible]
     explained, log_variance = _explained_by_slow(means, memories, ratios)
     information = free.T @ free - explained
     x, score = information[:, :rank, :rank], information[:, :rank, rank]
@@ -246,15 +245,15 @@ def _design(whole: Array, fixed: Mask, values: Array) -> Array | None:
     scale = np.linalg.norm(whole[:, free], axis=0)
     scale[scale == 0.0] = 1.0
     left, size, rotation = np.linalg.svd(whole[:, free] / scale, full_matrices=False)
-    kept = size > RANK_TOLERANCE * size.max(initial=0.0)
-    if not kept.any():
+    clear = size > RANK_TOLERANCE * size.max(initial=0.0)
+    if not clear.any():
         return None
     known = np.append(np.where(fixed, values, 0.0), (1.0, -1.0))
-    to_basis = (rotation[kept] / size[kept, None] / scale).T
-    design = np.zeros((whole.shape[1], int(kept.sum()) + 1))
+    to_basis = (rotation[clear] / size[clear, None] / scale).T
+    design = np.zeros((whole.shape[1], int(clear.sum()) + 1))
     design[free, :-1] = to_basis
     design[:, -1] = -known
-    design[:, -1] -= design[:, :-1] @ (left[:, kept].T @ (whole @ -known))
+    design[:, -1] -= design[:, :-1] @ (left[:, clear].T @ (whole @ -known))
     return design
 
 
@@ -293,11 +292,11 @@ def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array
     """
     weights, alone = means.n[:, None], means.usual_n / ratio
     # Blocks of two nights may be rounded to one place.
-    kept = memory ** np.maximum(np.diff(means.number), 1)[:, None]
-    given_before = np.vstack([alone, alone / (1.0 - kept**2)])
-    beside = -kept * given_before[1:]
+    memories = memory ** np.maximum(np.diff(means.number), 1)[:, None]
+    given_before = np.vstack([alone, alone / (1.0 - memories**2)])
+    beside = -memories * given_before[1:]
     size = weights + given_before
-    size[:-1] -= kept * beside
+    size[:-1] -= memories * beside
     right = (weights * means.values).T[:, :, None]
     log_size = -np.log(given_before).sum(axis=0)
     explained = np.zeros((len(ratio), len(right), len(right)))

@@ -59,8 +59,8 @@ def transport_lag(
     Examples
     --------
     >>> load = np.repeat(np.random.default_rng(1).normal(size=100), 30)
-    >>> found = transport_lag(np.roll(load, 8), load[:, None], np.arange(3000), 1.0)
-    >>> round(found.seconds, 1), round(found.gain, 1)
+    >>> lag = transport_lag(np.roll(load, 8), load[:, None], np.arange(3000), 1.0)
+    >>> round(lag.seconds, 1), round(lag.gain, 1)
     (8.0, 0.5)
     """
     longest = int(LONGEST_S / period_s)

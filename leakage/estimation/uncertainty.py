@@ -159,9 +159,9 @@ def cluster_robust(
     # The whole's singular values come from its merged factor: a sum of Grams loses half the digits.
     whole = merge(np.ascontiguousarray(filled)) if whole is None else whole
     _, values, rotation = np.linalg.svd(whole[:, :-2][:, active] / scale, full_matrices=False)
-    kept = values > RANK_TOLERANCE * values[0]
-    basis = rotation[kept]
-    to_basis = basis / values[kept, None]
+    clear = values > RANK_TOLERANCE * values[0]
+    basis = rotation[clear]
+    to_basis = basis / values[clear, None]
     orthonormal = scaled @ to_basis.T
     leverage = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
     eigenvalues, vectors = np.linalg.eigh(np.eye(len(basis)) - leverage)

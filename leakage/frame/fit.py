@@ -105,8 +105,8 @@ def fit_frame(
     >>> from leakage import OperatingConditions, total_flow_l_per_min
     >>> at = OperatingConditions.from_bar(*(samples[name] for name in list(samples)[1:]))
     >>> samples["leakage_l_per_min"] = total_flow_l_per_min(motor, at) + rng.normal(0, 0.002, 7200)
-    >>> found = fit_frame(samples, motor)
-    >>> found.judgements["K_gap"].verdict, bool(found.validation.fit_percent > 90)
+    >>> fitted = fit_frame(samples, motor)
+    >>> fitted.judgements["K_gap"].verdict, bool(fitted.validation.fit_percent > 90)
     ('identified', True)
     """
     motor = _with_flushing(motor, flushing)
@@ -138,7 +138,7 @@ def fit_frame(
     blocks = _sample_blocks(samples, made, used)
     estimate = fit_blocks(blocks, motor)
     theta = estimate.training.coefficients
-    found = FrameFit(
+    fitted = FrameFit(
         motor=motor,
         samples=samples,
         parts=np.repeat([block.part for block in made.blocks], sizes),
@@ -151,7 +151,7 @@ def fit_frame(
         identification=estimate.identified(blocks.excitation),
         beside_samples=np.zeros(len(theta)),
     )
-    return found.with_errors_beside()
+    return fitted.with_errors_beside()
 
 
 def _with_flushing(motor: Motor, flushing: float | str | None) -> Motor:

@@ -109,8 +109,8 @@ class FrameFit:
     @property
     def judgements(self) -> dict[str, Judgement]:
         """Verdict, reason and interval of each coefficient by name."""
-        found = self.identification.coefficients
-        return {path.coefficient_name: found[at] for at, path in self.paths.items()}
+        coefficients = self.identification.coefficients
+        return {path.coefficient_name: coefficients[at] for at, path in self.paths.items()}
 
     def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
         """Return intervals from the samples by name; None for a coefficient that has none."""
@@ -239,7 +239,7 @@ class FrameFit:
         columns, misfit = self.columns(), self.estimate.misfit
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         parts = {"training": self.training, "validation": self.validation}
-        left_out = int(np.count_nonzero(~self.samples.kept))
+        left_out = int(np.count_nonzero(~self.samples.complete))
         used, seen = self.samples.only(self.used), self.blocks.excitation
         tested = [part for part in parts if (self.parts == part).any()]
         return Summary(
@@ -316,8 +316,8 @@ def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:
     """Values of samples on the rows of their frame; on the samples themselves without one."""
     if frame is None:
         return values
-    rows = np.full(len(samples.kept), np.nan)
-    rows[samples.kept] = values
+    rows = np.full(len(samples.complete), np.nan)
+    rows[samples.complete] = values
     return rows
 
 
@@ -377,12 +377,14 @@ def _fits(part: str, of_part: Agreement) -> str:
     )
 
 
-def _errors(part: str, found: ResidualAnalysis) -> str:
+def _errors(part: str, analysis: ResidualAnalysis) -> str:
     """Return what is left of a part after the fit."""
-    if found.whiteness.verdict == "not_tested":
-        return f"errors of {part}: not tested, {found.whiteness.reason}"
-    white = "not autocorrelated" if found.whiteness.verdict == "passed" else "autocorrelated"
-    verdicts = {name.replace("_", " "): test.verdict for name, test in found.independence.items()}
+    if analysis.whiteness.verdict == "not_tested":
+        return f"errors of {part}: not tested, {analysis.whiteness.reason}"
+    white = "not autocorrelated" if analysis.whiteness.verdict == "passed" else "autocorrelated"
+    verdicts = {
+        name.replace("_", " "): test.verdict for name, test in analysis.independence.items()
+    }
     if set(verdicts.values()) == {"passed"}:
         return f"errors of {part}: {white}, independent of every input"
     related = (

@@ -45,7 +45,7 @@ class FrameSamples:
     speed_rpm: Array
     flow_l_per_min: Array | None  # measured drain flow; None where it is not needed
     charge_over_case_bar: Array | None  # charge above case pressure; None: one-sided leakage
-    kept: Mask  # rows of the frame that are complete, shape (rows,)
+    complete: Mask  # rows of the frame that are complete, shape (rows,)
 
     @property
     def conditions(self) -> OperatingConditions:
@@ -91,8 +91,8 @@ class FrameSamples:
 
     def only(self, chosen: Mask) -> FrameSamples:
         """Return the chosen ones of these samples."""
-        kept = self.kept.copy()
-        kept[kept] = chosen
+        complete = self.complete.copy()
+        complete[complete] = chosen
         flow, charge = self.flow_l_per_min, self.charge_over_case_bar
         return replace(
             self,
@@ -102,7 +102,7 @@ class FrameSamples:
             speed_rpm=self.speed_rpm[chosen],
             flow_l_per_min=None if flow is None else flow[chosen],
             charge_over_case_bar=None if charge is None else charge[chosen],
-            kept=kept,
+            complete=complete,
         )
 
     def stretches(self, periods: Period | Sequence[Period] | None) -> tuple[Stretch, ...]:
@@ -110,13 +110,13 @@ class FrameSamples:
         if periods is None:
             return ()
         pair = len(periods) == 2 and not isinstance(periods[0], tuple | list)
-        found = []
+        stretches = []
         for begin, end in [periods] if pair else periods:
             stretch = (self._moment(begin), self._moment(end))
             if not stretch[0] < stretch[1]:
                 raise LeakageError("period", f"the period {begin} to {end} ends before it begins")
-            found.append(stretch)
-        return tuple(sorted(found))
+            stretches.append(stretch)
+        return tuple(sorted(stretches))
 
     def _moment(self, value: Any) -> int:
         if isinstance(value, int | float | np.number):
@@ -143,11 +143,11 @@ def read_samples(
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
     if table.has(CHARGE):
         values[CHARGE] = table.numbers(CHARGE)
-    kept = np.logical_and.reduce([np.isfinite(value) for value in values.values()])
-    if not kept.any():
+    complete = np.logical_and.reduce([np.isfinite(value) for value in values.values()])
+    if not complete.any():
         empty = [name for name, value in values.items() if not np.isfinite(value).any()]
         of = f"{', '.join(empty)} has no values" if empty else "each lacks a value"
-        raise StatisticsError("no_samples", f"no row of {len(kept)} is complete: {of}")
+        raise StatisticsError("no_samples", f"no row of {len(complete)} is complete: {of}")
     falls = np.flatnonzero(np.diff(time_us) <= 0)
     if len(falls):
         row = int(falls[0]) + 1
@@ -165,9 +165,9 @@ def read_samples(
         np.abs(values["speed_rpm"]),
         values.get(FLOW),
         values.get(CHARGE),
-        np.ones(len(kept), dtype=np.bool_),
+        np.ones(len(complete), dtype=np.bool_),
     )
-    return made if kept.all() else made.only(kept)
+    return made if complete.all() else made.only(complete)
 
 
 class FrameTable:

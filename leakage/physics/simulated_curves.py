@@ -79,8 +79,8 @@ def fit_speed_curve(points: ArrayLike) -> tuple[float, ...]:
 
     Examples
     --------
-    >>> found = fit_speed_curve([(0, 1), (20, 2), (40, 3), (60, 4), (80, 5), (100, 6)])
-    >>> [round(coefficient, 9) for coefficient in found[-2:]]
+    >>> curve = fit_speed_curve([(0, 1), (20, 2), (40, 3), (60, 4), (80, 5), (100, 6)])
+    >>> [round(coefficient, 9) for coefficient in curve[-2:]]
     [0.05, 1.0]
     """
     given = np.asarray(points, np.float64).reshape(-1, 2)
@@ -108,10 +108,10 @@ def _require_points(points: Array, *, least: int, different: int, above_zero: bo
     if bad.any() or not np.isfinite(points).all():
         bound = "above 0" if above_zero else "not negative"
         raise CurveError("curve_points", f"points of a simulated curve must be finite and {bound}")
-    found = np.unique(points[:, 0]).size
-    if len(points) < least or found < different:
+    speeds = np.unique(points[:, 0]).size
+    if len(points) < least or speeds < different:
         raise CurveError(
             "curve_points",
             f"a simulated curve needs {least} points, at {different} different pressures or"
-            f" speeds; {len(points)} at {found} are given",
+            f" speeds; {len(points)} at {speeds} are given",
         )

@@ -55,8 +55,8 @@ def circuit_change(size: Estimate, others: Sequence[Estimate]) -> CircuitChange 
     Examples
     --------
     >>> others = [Estimate(0.03, 0.01), Estimate(0.04, 0.01), Estimate(0.08, 0.01)]
-    >>> found = circuit_change(Estimate(0.12, 0.01), others)
-    >>> round(found.of_circuit.value, 2), round(found.own.value, 2), found.is_common
+    >>> split = circuit_change(Estimate(0.12, 0.01), others)
+    >>> round(split.of_circuit.value, 2), round(split.own.value, 2), split.is_common
     (0.04, 0.08, False)
     """
     if len(others) < choices.LEAST_ALIKE:

@@ -132,9 +132,9 @@ def estimate_wander(
         level, line, square = by_power[..., :-1]
         whole = np.block([[level, line[:, :p]], [line[:p], square[:p, :p]]])
         certain = np.linalg.inv(whole + certain_before).astype(np.float64)
-        found = certain @ np.concatenate([by_power[0, :, -1], by_power[1, :p, -1]])
-        mean = np.repeat(found[None, :q], n, axis=0)
-        mean[:, :p] += times[:, None] * found[q:]
+        start_and_slope = certain @ np.concatenate([by_power[0, :, -1], by_power[1, :p, -1]])
+        mean = np.repeat(start_and_slope[None, :q], n, axis=0)
+        mean[:, :p] += times[:, None] * start_and_slope[q:]
         shifts = _squared_shifts(information, score, spread, mean, times, certain)
         new = (shifts.sum(axis=0) + choices.WANDER_NIGHTS * usual) / (n + choices.WANDER_NIGHTS)
         moved = np.abs(new - spread).max() / np.abs(new).max()

@@ -80,7 +80,7 @@ def check_fleet(fleet: Fleet, motors: Sequence[str] = ()) -> tuple[MotorCheck, .
         open_outbox(state, [receiver.name for receiver in receivers], OF_INTRADAY)
         decisions = decisions_of(wanted, read_decisions(fleet.output))
         last = last_rows(fleet.output, [spec.motor_id for spec in wanted])
-        found = list[MotorCheck]()
+        checked = list[MotorCheck]()
         for specs in circuits_of(wanted):
             checks = [
                 check_motor(state, spec, decisions[spec.motor_id], last.get(spec.motor_id))
@@ -89,9 +89,9 @@ def check_fleet(fleet: Fleet, motors: Sequence[str] = ()) -> tuple[MotorCheck, .
             checks = [_with_circuit(check, checks) for check in checks]
             for spec, check in zip(specs, checks, strict=True):
                 publish_rows(state, check.rows, _run_id(spec))
-            found += checks
+            checked += checks
         _deliver(fleet, state, receivers)
-    return tuple(sorted(found, key=lambda check: check.motor_id))
+    return tuple(sorted(checked, key=lambda check: check.motor_id))
 
 
 def check_motor(

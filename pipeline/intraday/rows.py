@@ -64,13 +64,13 @@ def publish_rows(state: StateDatabase, rows: Iterable[Row], run_id: str) -> None
 
 def intraday_statuses(output: Path, motor_ids: Sequence[str]) -> dict[str, IntradayStatus]:
     """Return what the table says of some motors, by motor; raises StoreError if it is damaged."""
-    found: dict[str, IntradayStatus] = {}
+    states: dict[str, IntradayStatus] = {}
     for row in read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True):
-        before, to_state = found.get(row["motor_id"]), row["to_state"]
+        before, to_state = states.get(row["motor_id"]), row["to_state"]
         counts = {
             name: (0 if before is None else getattr(before, name)) + (to_state == name)
             for name in (RISEN, CONFIRMED, WITHDRAWN)
         }
         state = RISEN if to_state in (RISEN, CONFIRMED) else CLEAR
-        found[row["motor_id"]] = IntradayStatus(state, row["time"], row["reason"], **counts)
-    return found
+        states[row["motor_id"]] = IntradayStatus(state, row["time"], row["reason"], **counts)
+    return states

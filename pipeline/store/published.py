@@ -232,24 +232,24 @@ def require_prunable(tables: Sequence[str]) -> None:
 
 
 def old_files(
-    output: Path, kept: Mapping[str, int], newest_night: dt.date | None
+    output: Path, days: Mapping[str, int], newest_night: dt.date | None
 ) -> tuple[OldFiles, ...]:
-    """Files older than the days kept of each table, back from the newest night; None: none are.
+    """Files older than the days of their table, back from the newest night; None: none are.
 
     A file of a month is as old as the last night of it.
     """
-    found = []
+    stale = []
     for table in TABLES:
-        if newest_night is None or table.name not in kept:
+        if newest_night is None or table.name not in days:
             continue
-        first_kept = newest_night - dt.timedelta(days=kept[table.name] - 1)
-        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_kept]
+        first_day = newest_night - dt.timedelta(days=days[table.name] - 1)
+        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_day]
         if old:
             first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
             names = tuple(name_of(output, path) for path in old)
             size = sum(path.stat().st_size for path in old)
-            found.append(OldFiles(table.name, first, last, names, size, LOSSES[table.name]))
-    return tuple(found)
+            stale.append(OldFiles(table.name, first, last, names, size, LOSSES[table.name]))
+    return tuple(stale)
 
 
 def prune(state: StateDatabase, old: Sequence[OldFiles]) -> None:

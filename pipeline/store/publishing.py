@@ -111,7 +111,7 @@ def staged_in(
 ) -> Mapping[tuple[Table, str], Mapping[str, Staged]]:
     """What some motors have staged, by table, name of the table file, and motor, in order."""
     named = {table.name: table for table in tables}
-    found: defaultdict[tuple[Table, str], dict[str, Staged]] = defaultdict(dict)
+    staged: defaultdict[tuple[Table, str], dict[str, Staged]] = defaultdict(dict)
     paths = {motor_id: staged_file(folder, motor_id) for motor_id in sorted(motor_ids)}
     for motor_id, path in paths.items():
         if not path.exists():
@@ -120,9 +120,9 @@ def staged_in(
             index, begin = json.loads(file.readline()), file.tell()
         for name, label, size, nights in index:
             own = Staged(path, begin, size, tuple(map(dt.date.fromisoformat, nights)))
-            found[named[name], label][motor_id] = own
+            staged[named[name], label][motor_id] = own
             begin += size
-    return found
+    return staged
 
 
 def staged_file(folder: Path, motor_id: str) -> Path:
@@ -283,19 +283,19 @@ def _with_rows(
     table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
 ) -> pl.DataFrame:
     """Rows that are there with new ones, in place of those of the same key and of some others."""
-    before, kept, after = present.clear(), present, present.clear()
+    before, within, after = present.clear(), present, present.clear()
     if replaced is not None and "night" in table.key:
         # Other nights lie before and after them, and are neither copied nor sorted.
         span = [pl.col("night").min().alias("first"), pl.col("night").max().alias("last")]
         first, last = replaced.select(span).row(0)
         begin = present["night"].search_sorted(first, "left")
         end = present["night"].search_sorted(last, "right")
-        before, kept, after = present[:begin], present[begin:end], present[end:]
+        before, within, after = present[:begin], present[begin:end], present[end:]
     else:
-        kept = kept.join(rows, on=list(table.key), how="anti")
+        within = within.join(rows, on=list(table.key), how="anti")
     if replaced is not None:
-        kept = kept.join(replaced, on=replaced.columns, how="anti")
-    return pl.concat([before, pl.concat([kept, rows]).sort(table.order), after])
+        within = within.join(replaced, on=replaced.columns, how="anti")
+    return pl.concat([before, pl.concat([within, rows]).sort(table.order), after])
 
 
 def write_views(output: Path) -> None:

@@ -101,8 +101,8 @@ class StateDatabase:
 
     def meta(self, name: str) -> str:
         """Return a value by its name; empty where there is none."""
-        found = self.rows("SELECT value FROM meta WHERE name = ?", name)
-        return str(found[0][0]) if found else ""
+        rows = self.rows("SELECT value FROM meta WHERE name = ?", name)
+        return str(rows[0][0]) if rows else ""
 
     def set_meta(self, name: str, value: str) -> None:
         """Keep a value by its name."""

@@ -78,14 +78,14 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
                 f"no Dask scheduler with a worker answers at {where}: {error}; check "
                 "execution.scheduler, and that both run: dask worker ADDRESS --nthreads 1",
             ) from error
-        found = client.run(differences, expected, folders, on_error="return")
+        refusals = client.run(differences, expected, folders, on_error="return")
         threads = client.nthreads().items()
-        found |= {worker: f"it has {n} threads" for worker, n in threads if n != 1}
+        refusals |= {worker: f"it has {n} threads" for worker, n in threads if n != 1}
         try:
-            found["the scheduler"] = client.run_on_scheduler(differences, expected)
+            refusals["the scheduler"] = client.run_on_scheduler(differences, expected)
         except Exception as error:  # it has not even the program
-            found["the scheduler"] = repr(error)
-        for who, words in found.items():
+            refusals["the scheduler"] = repr(error)
+        for who, words in refusals.items():
             if words:
                 raise EngineError("scheduler_unfit", f"{who} is unfit: {words}; {REMEDY}")
         yield partial(_tried, client, execution, expected)
@@ -94,19 +94,19 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
 def differences(expected: Mapping[str, str], folders: Sequence[Path] = ()) -> str:
     """Return the differences of this process from what a run needs, in words."""
     own = own_versions()
-    found = [
+    differing = [
         f"{name} is {own[name]} there and {wanted} here"
         for name, wanted in expected.items()
         if own[name] != wanted
     ]
-    found += [f"there is no folder {folder} there" for folder in folders if not folder.is_dir()]
-    return "; ".join(found)
+    differing += [f"there is no folder {folder} there" for folder in folders if not folder.is_dir()]
+    return "; ".join(differing)
 
 
 def own_versions() -> Mapping[str, str]:
     """Versions of this process: Python, packages, and a hash of the code that it has loaded."""
-    found = {name: version(name) for name in PACKAGES}
-    return {"python": platform.python_version(), CODE: _LOADED, **found}
+    versions = {name: version(name) for name in PACKAGES}
+    return {"python": platform.python_version(), CODE: _LOADED, **versions}
 
 
 def _code_hash() -> str:
