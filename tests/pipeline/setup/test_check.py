@@ -301,7 +301,8 @@ COLUMNS = "time,pressure_difference,oil_temperature,speed,leakage_flow\n,bar,deg
             {(",bar,", ",psi,"): range(17, 20)},
             [
                 "unit_changed: the log of 18 March 2026 (2026-03-17.csv) gives "
-                "'pressure_difference' in 'psi'; the log before has 'bar': earlier_units date a unit",
+                "'pressure_difference' in 'psi'; the log before has 'bar': "
+                "earlier_units date a unit",
                 "unit_differs: pressure_difference: configured in bar, and the log says psi of "
                 "pressure_difference",
             ],
