@@ -131,14 +131,14 @@ def means_too_long(channels: Mapping[ChannelName, Channel]) -> str | None:
 
     A mean of the inputs is no input of the mean: the leakage is not linear in them.
     """
-    found = [
+    too_long = [
         f"{name} is logged as means of {channel.mean_of_s:g} s"
         for name, channel in channels.items()
         if channel.mean_of_s is not None and channel.mean_of_s > MAXIMUM_MEAN_S
     ]
-    if not found:
+    if not too_long:
         return None
-    return f"{'; '.join(found)}; at most {MAXIMUM_MEAN_S:g} s are allowed: log it more often"
+    return f"{'; '.join(too_long)}; at most {MAXIMUM_MEAN_S:g} s are allowed: log it more often"
 
 
 @dataclass(frozen=True, slots=True)
