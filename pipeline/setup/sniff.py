@@ -26,7 +26,7 @@ from pipeline.ingest.csv import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
 from pipeline.ingest.parquet import decoded, opened, text_paths
-from pipeline.setup.names import VOCABULARY, is_in, unit_named, words_of
+from pipeline.setup.names import VOCABULARY, is_in, unit_in, unit_named, words_of
 from pipeline.setup.signals import quality_words, whole_row_quality
 from pipeline.setup.tables import (
     HEAD_ROWS,
@@ -387,6 +387,7 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
         cells = tuple(f"{number:.6g}" for number in _finite(topic.fields[path]))
         keys = {"source": topic.name} | ({"field": text} if text != "value" else {})
         unit = unit or topic.units.get(path) or topic.units.get(()) or ""
+        unit = unit or unit_in(topic.descriptions.get(path, "")) or ""
         unit = unit or (text if unit_named(text) else "")
         yield Column(name, cells, "number", unit, keys, _quality_beside(topic, path))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +38,7 @@ class Topic:
     payloads: list[bytes] = field(default_factory=list)
     # Units that the channel's metadata or the schema state, by field; () is of every field.
     units: Mapping[FieldPath, str] = field(default_factory=dict)
+    descriptions: Mapping[FieldPath, str] = field(default_factory=dict)  # in a JSON schema
 
 
 def read_topics(path: Path) -> list[Topic]:
@@ -57,7 +58,12 @@ def read_topics(path: Path) -> list[Topic]:
                 count = summary.stated_count(channel.topic)
                 units = {**dict(_schema_units(schema)), **dict(_metadata_units(channel))}
                 topics[channel.topic] = Topic(
-                    channel.topic, channel.message_encoding, schema.name, count, units=units
+                    channel.topic,
+                    channel.message_encoding,
+                    schema.name,
+                    count,
+                    units=units,
+                    descriptions=dict(_json_texts(schema, ("description",))),
                 )
         for topic in topics.values():
             _take(topic, messages)
@@ -97,23 +103,30 @@ def _metadata_units(channel: Channel) -> Iterator[tuple[FieldPath, str]]:
 
 def _schema_units(schema: Schema) -> Iterator[tuple[FieldPath, str]]:
     """Units of fields: of a JSON schema by their own key, of ROS 2 in a remark."""
-    text = schema.data.decode(errors="replace")
-    if schema.encoding == "jsonschema":
-        with suppress(ValueError, RecursionError):
-            yield from _json_units(json.loads(text), ())
-    elif schema.encoding == "ros2msg":
+    yield from _json_texts(schema, UNIT_KEYS)
+    if schema.encoding == "ros2msg":
+        text = schema.data.decode(errors="replace")
         for name, remark in re.findall(
             r"^\S+[ \t]+(\w+)[ \t]*#[ \t]*(\S+)[ \t]*$", text, re.MULTILINE
         ):
             yield (name,), remark
 
 
-def _json_units(node: object, path: FieldPath) -> Iterator[tuple[FieldPath, str]]:
+def _json_texts(schema: Schema, keys: Collection[str]) -> Iterator[tuple[FieldPath, str]]:
+    """Yield what a JSON schema says of its fields under some keys."""
+    if schema.encoding == "jsonschema":
+        with suppress(ValueError, RecursionError):
+            yield from _texts_below(json.loads(schema.data.decode(errors="replace")), keys, ())
+
+
+def _texts_below(
+    node: object, keys: Collection[str], path: FieldPath
+) -> Iterator[tuple[FieldPath, str]]:
     if not isinstance(node, dict):
         return
     for key, value in node.items():
-        if path and key.lower() in UNIT_KEYS and isinstance(value, str):
+        if path and key.lower() in keys and isinstance(value, str):
             yield path, value
     properties = node.get("properties")
     for name, inner in properties.items() if isinstance(properties, dict) else ():
-        yield from _json_units(inner, (*path, name))
+        yield from _texts_below(inner, keys, (*path, name))

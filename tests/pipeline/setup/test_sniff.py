@@ -288,7 +288,8 @@ def mcap(folder: Path, topics: Mapping[str, Message], units: str = "") -> Path:
     writer.start()
     ids = {}
     for topic, unit in zip(topics, ("bar", "degC", "rpm", "l/min"), strict=False):
-        value = {"type": "number"} | ({"unit": unit} if units == "schema" else {})
+        stated = {"schema": {"unit": unit}, "description": {"description": f"Reading ({unit})"}}
+        value = {"type": "number"} | stated.get(units, {})
         schema = json.dumps({"type": "object", "properties": {"value": value}}).encode()
         number = writer.register_schema(topic, "jsonschema", schema)
         metadata = {"unit": unit} if units == "metadata" else {}
@@ -318,7 +319,7 @@ def test_a_topic_a_channel(tmp_path: Path) -> None:
     assert motor.logs["time"] == "log_time"
 
 
-@pytest.mark.parametrize("place", ["metadata", "schema"])
+@pytest.mark.parametrize("place", ["metadata", "schema", "description"])
 def test_units_that_messages_state_are_not_asked(place: str, tmp_path: Path) -> None:
     proposal = propose(mcap(tmp_path, a_topic_a_channel(), place), {})
     units = [column.unit for column in proposal.motors[0].channels.values()]
