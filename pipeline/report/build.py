@@ -10,24 +10,40 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import polars as pl
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from leakage import AnnularGap
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Fleet
 from pipeline.errors import StoreError
-from pipeline.messages import plain
+from pipeline.messages import as_sentence, plain
 from pipeline.notification.outbox import backlogs, receivers_of
-from pipeline.report.charts import night_chart, residual_chart, watch_chart
+from pipeline.report.charts import (
+    fleet_span,
+    night_chart,
+    overlay,
+    residual_chart,
+    sparkline,
+    watch_chart,
+)
 from pipeline.report.explain import EXPLAINED, paragraphs
-from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span, overlay
-from pipeline.report.pages import FOLDER, page_of
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
+from pipeline.report.words import (
+    ABSENT,
+    INDICATORS,
+    STATES,
+    candidates,
+    conditions,
+    of_model,
+)
+from pipeline.report.words import figure as figure_words
 from pipeline.schema import ALARMS, NIGHTS, PREDICTIONS, frame
 from pipeline.store.atomic_files import (
     TEMPORARY_PREFIX,
@@ -39,9 +55,10 @@ from pipeline.store.atomic_files import (
 from pipeline.store.tables import files_of, read_rows, table_folder
 from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import ORDER, MotorState
+from pipeline.trends.motor_states import ORDER, MotorState, urgency
 from pipeline.trends.sentences import change_of, part_of
 
+FOLDER = Path(__file__).parent
 MANIFEST = "manifest.json"
 CHART_LIBRARY = "assets/plotly.min.js"
 # Of changes of state a page lists the newest.
@@ -272,12 +289,10 @@ def _make_pages(
     config: str,
 ) -> None:
     """Make the fleet's page, the motors' pages, and what they share."""
-    ids = [state.motor_id for state in states]
-    motors = motor_histories(fleet.output, ids)
-    specs = {spec.motor_id: spec for spec in fleet.motors}
-    rows = fleet_rows(motors, specs, states, fleet.settings.reference)
+    histories = motor_histories(fleet, states)
+    motors = sorted(histories, key=lambda motor: urgency(motor.state))
     counts = Counter(state.state for state in states)
-    first, newest = fleet_span(motors) or (None, None)
+    span = fleet_span(motors)
     waiting = backlogs(fleet.output, receivers_of(fleet.settings.alarms))
     facts = {
         "name": fleet.name,
@@ -285,17 +300,18 @@ def _make_pages(
         "zone": fleet.settings.nights.zone,
         "old_after_nights": fleet.settings.alarms.stale_after_nights,
     }
-    _make_motor_pages(fleet.output, motors, rows, specs, facts, folder)
-    curves = script_json(overlay(fleet, motors))
+    _make_motor_pages(fleet.output, motors, facts, folder)
+    curves = script_json(overlay(histories, fleet.settings.alarms.alarm_percent))
     folder.write("curves.js", f"motorLeakageFleet({curves});\n".encode())
     facts |= {
-        "first": first,
-        "newest": newest,
+        "first": span and span[0],
+        "newest": span and span[1],
         "made": made,
         "undelivered": [backlog.words for backlog in waiting if backlog.undelivered],
     }
     shown = [(code, counts[code]) for code in ORDER if counts[code]]
-    index = page_of("fleet.html", facts=facts, rows=rows, counts=shown)
+    lines = {motor.motor_id: sparkline(motor, span) if span else "" for motor in motors}
+    index = page_of("fleet.html", facts=facts, rows=motors, lines=lines, counts=shown)
     folder.write("index.html", index.encode())
     folder.write("glossary.html", page_of("glossary.html", facts=facts).encode())
     for asset in (FOLDER / "assets").iterdir():
@@ -308,43 +324,31 @@ def _make_pages(
 
 
 def _make_motor_pages(
-    output: Path,
-    motors: Sequence[MotorHistory],
-    rows: Sequence[FleetRow],
-    specs: Mapping[str, MotorSpec],
-    facts: Mapping[str, Any],
-    folder: Folder,
+    output: Path, motors: Sequence[MotorHistory], facts: Mapping[str, Any], folder: Folder
 ) -> None:
     """Make the pages of motors of which something has changed."""
-    by_id = {row.state.motor_id: row for row in rows}
-    alarms = by_motor(read_rows(output, ALARMS, list(by_id)))
+    alarms = by_motor(read_rows(output, ALARMS, [motor.motor_id for motor in motors]))
     decisions = read_decisions(output)
     for motor in motors:
-        motor_id = motor.motor_id
-        spec, row = specs.get(motor_id), by_id[motor_id]
+        motor_id, spec = motor.motor_id, motor.spec
         changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
         own = [decision for decision in decisions if decision.motor_id == motor_id]
         tables = {"nights": motor.rows, **motor.trends}
         # What the page says nothing of leaves it as it is.
-        state = {name: of for name, of in row.state.row.items() if name != "data_age_nights"}
-        parts = (state, row.state.intraday, row.reference, changes, own, facts)
+        state = {name: of for name, of in motor.state.row.items() if name != "data_age_nights"}
+        parts = (state, motor.state.intraday, motor.reference, changes, own, facts)
         stated = (spec.motor_type, spec.file) if spec else ()
         digest = _digest([_digest_of(tables), parts, stated])
         if not folder.keep(name := f"motors/{motor_id}.html", digest):
-            values = _motor_values(spec, motor, row, changes)
+            values = _motor_values(motor, changes)
             page = page_of("motor.html", facts=facts, decisions=own, **values)
             folder.write(name, page.encode(), digest)
 
 
-def _motor_values(
-    spec: MotorSpec | None,
-    motor: MotorHistory,
-    row: FleetRow,
-    changes: Sequence[Mapping[str, Any]],
-) -> dict[str, Any]:
+def _motor_values(motor: MotorHistory, changes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the template of a motor's page names, besides facts and decisions."""
-    paths = spec.motor_type.paths() if spec else ()
-    events = spec.file.events if spec else ()
+    paths = motor.spec.motor_type.paths() if motor.spec else ()
+    events = motor.spec.file.events if motor.spec else ()
     course = watch_chart(motor, [path.name for path in paths], events, changes)
     payload = {
         "file": motor.motor_id,
@@ -353,7 +357,7 @@ def _motor_values(
         "course": figure(course),
     }
     return {
-        "row": row,
+        "row": motor,
         "last": motor.rows.row(-1, named=True) if motor.nights else None,
         "marks": course.marks,
         "parts": [(path.name, isinstance(path, AnnularGap)) for path in paths],
@@ -374,6 +378,38 @@ def _summary(change: Mapping[str, Any]) -> str:
     size = change_of(change)
     words = f"{size}{part}" if size else change["sentence"].partition(";")[0]
     return textwrap.shorten(words, LONGEST_SUMMARY, placeholder=" …")
+
+
+def page_of(template: str, **values: Any) -> str:
+    """Return the HTML of a page; `values` are what its template names."""
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> Environment:
+    """Return the templates, which escape whatever is put into them."""
+    environment = Environment(
+        loader=FileSystemLoader(FOLDER / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "candidates": candidates,
+        "change": change_of,
+        "figure": figure_words,
+        "of_model": of_model,
+        "plain": plain,
+        "sentence": as_sentence,
+    }
+    environment.globals |= {
+        "absent": ABSENT,
+        "conditions": conditions,
+        "indicators": INDICATORS,
+        "states": STATES,
+    }
+    return environment
 
 
 def _program_hash() -> str:

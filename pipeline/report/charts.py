@@ -1,4 +1,4 @@
-"""The charts of a motor and of a night, as data; `plotly_json` has them as Plotly draws them.
+"""The charts of a fleet, a motor and a night, as data; `plotly_json` has them for Plotly.
 
 A chart is some panels below one another on one axis of time.
 """
@@ -15,11 +15,12 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage.estimation.blocks import TRAINING, VALIDATION
-from pipeline.arrays import Array
+from pipeline.arrays import Array, keep_extremes
 from pipeline.config.motors import Event
 from pipeline.messages import plain
 from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory
+from pipeline.report.words import figure
 from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import LEAKAGE
 from pipeline.trends.sentences import DATED, cause_words
@@ -33,6 +34,13 @@ BLUE, VERMILION, ORANGE = COLOURS[0], COLOURS[1], COLOURS[4]
 BEYOND = 1.05
 GREY: Final = "#8a949e"
 GAP = "gap_change_"
+# Of the small picture of a motor's leakage.
+WIDTH, HEIGHT, MARGIN = 120.0, 28.0, 2.5
+POINTS = 90
+# It is at least this share of the median high each way, so that noise looks like noise.
+LEAST_REACH = 0.15
+# Days without a value over which no line is drawn.
+LONGEST_GAP = 7
 # The axis of the evidence ends that far beyond its limit: more would hide how it came there.
 SHOWN_EVIDENCE = 2.5
 
@@ -107,7 +115,7 @@ def watch_chart(
     `declared` are the motor's leakage paths, `events` its dated events, `changes` its rows of
     `alarms`.
     """
-    projection = Projection.of(motor)
+    projection = _projection(motor)
     leakage = _leakage_panel(motor, projection)
     panels = (leakage, _evidence_panel(motor), _gap_panel(motor, declared))
     marks = [*_events(events), *_detected(motor, changes)]
@@ -188,57 +196,37 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Where the present trend of the leakage reaches a level, from the last night with a change."""
+    """Where the present trend of the leakage reaches the alarm level, from the newest night on."""
 
-    night: dt.date
-    change: float  # %, of that night
-    level: float  # %
-    # Days from then on; the likeliest and the last may be open.
-    earliest: float
-    likeliest: float | None
-    latest: float | None
+    line: Line  # to the likeliest date, or to the earliest where only that is known
+    area: Area  # between the earliest and the latest date
+    ahead: float  # days to show beyond the last night
+    end: np.datetime64  # of these days
 
-    @staticmethod
-    def of(motor: MotorHistory) -> Projection | None:
-        """Return that of the newest night; None where no date can be named, or it has come."""
-        if not motor.nights:
-            return None
-        row = motor.rows.row(-1, named=True)
-        change, earliest = row["leakage_change_percent"], row["days_to_limit_lower"]
-        level = _alarm_level(motor)
-        if row["days_to_limit_status"] not in DATED or change is None or not change < level:
-            return None
-        dates = row["days_to_limit"], row["days_to_limit_upper"]
-        return Projection(row["night"], change, level, earliest, *dates)
 
-    @property
-    def ahead(self) -> float:
-        """Days to show beyond the last night."""
-        return BEYOND * (self.latest or self.likeliest or self.earliest)
+def _projection(motor: MotorHistory) -> Projection | None:
+    """Return that of the newest night; None where no date can be named, or it has come."""
+    if not motor.nights:
+        return None
+    row, level = motor.rows.row(-1, named=True), _alarm_level(motor)
+    change, earliest = row["leakage_change_percent"], row["days_to_limit_lower"]
+    likeliest, latest = row["days_to_limit"], row["days_to_limit_upper"]
+    if row["days_to_limit_status"] not in DATED or change is None or not change < level:
+        return None
+    ahead = BEYOND * (latest or likeliest or earliest)
+    end = latest or ahead
+    corners = [(0.0, change), (earliest, level), (end, level)]
+    corners += [] if latest else [(end, change)]
+    night = np.datetime64(row["night"], "m")
 
-    def at(self, *days: float) -> Times:
-        """Times that many days after the last night."""
-        minutes = [np.timedelta64(round(1440 * ahead), "m") for ahead in days]
-        return np.datetime64(self.night, "m") + np.array(minutes)
+    def after(*days: float) -> Times:
+        return night + np.array([np.timedelta64(round(1440 * some), "m") for some in days])
 
-    @property
-    def area(self) -> Area:
-        """Between the earliest and the latest date, to the level."""
-        end = self.latest or self.ahead
-        foot = [] if self.latest else [(end, self.change)]
-        corners = [(0.0, self.change), (self.earliest, self.level), (end, self.level), *foot]
-        days, change = zip(*corners, strict=True)
-        return Area(self.at(*days), np.array(change), ORANGE)
-
-    @property
-    def line(self) -> Line:
-        """To the likeliest date, or to the earliest where only that is known."""
-        name = (
-            "projection, 90 % band" if self.likeliest else "projection, earliest of its 90 % band"
-        )
-        days = self.likeliest or self.earliest
-        change = np.array([self.change, self.level])
-        return Line(name, change, ORANGE, dash="dash", time=self.at(0.0, days))
+    days, changes = zip(*corners, strict=True)
+    name = "90 % band" if likeliest else "earliest of its 90 % band"
+    values, until = np.array([change, level]), after(0.0, likeliest or earliest)
+    line = Line(f"projection, {name}", values, ORANGE, dash="dash", time=until)
+    return Projection(line, Area(after(*days), np.array(changes), ORANGE), ahead, after(ahead)[0])
 
 
 def _alarm_level(motor: MotorHistory) -> float:
@@ -264,7 +252,7 @@ def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
     alarm, limits = _alarm_level(motor), motor.figure("detection_limit_percent")
     span = np.array([motor.nights[0], motor.nights[-1]], dtype="datetime64[m]")
     if projection is not None:
-        span[1] = projection.at(projection.ahead)[0]
+        span[1] = projection.end
 
     def level(name: str, height: float, colour: str, dash: str) -> Line:
         return Line(name, np.full(2, height), colour, dash=dash, time=span)
@@ -347,3 +335,58 @@ def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:
     middle = float(np.median(known))
     low, high = min(known.min(), middle - reach), max(known.max(), middle + reach)
     return float(low - 0.05 * (high - low)), float(high + 0.05 * (high - low))
+
+
+def fleet_span(motors: Sequence[MotorHistory]) -> tuple[dt.date, dt.date] | None:
+    """The first and the newest night of all motors; None where there is none."""
+    nights = [night for motor in motors for night in (*motor.nights[:1], *motor.nights[-1:])]
+    return (min(nights), max(nights)) if nights else None
+
+
+def overlay(motors: Sequence[MotorHistory], level: float) -> dict[str, Any]:
+    """Return the leakage of all motors against their baselines, % by night, for one chart."""
+    nights = sorted({night for motor in motors for night in motor.nights})
+    named = [{"name": motor.motor_id, "y": _changes(motor, nights)} for motor in motors]
+    return {"nights": list(map(str, nights)), "motors": named, "alarm": level, "colours": COLOURS}
+
+
+def _changes(motor: MotorHistory, nights: Sequence[dt.date]) -> list[float | None]:
+    known = dict(motor.rows.select("night", "leakage_change_percent").iter_rows())
+    changes = (known.get(night) for night in nights)
+    return [None if change is None else round(change, 1) for change in changes]
+
+
+def sparkline(motor: MotorHistory, span: tuple[dt.date, dt.date]) -> str:
+    """A motor's leakage at its own conditions as SVG, broken over long gaps; empty without a value.
+
+    `span` are the nights at the edges of the picture, the same for all motors of a fleet.
+    """
+    leakage, _, _ = motor.leakage
+    known = np.flatnonzero(np.isfinite(leakage))
+    if not len(known):
+        return ""
+    value = leakage[known]
+    first, newest = (np.datetime64(edge) for edge in span)
+    days = (motor.stamps[known] - first).astype(float)
+    places = keep_extremes([value], POINTS)
+    median = float(np.median(value))
+    reach = max(float(np.abs(value - median).max()), LEAST_REACH * abs(median), 1e-9)
+
+    def height(flow: Array) -> Array:
+        inside: Array = np.clip((flow - median) / reach, -1.0, 1.0)
+        return HEIGHT / 2 - inside * (HEIGHT / 2 - MARGIN)
+
+    length = max(float((newest - first).astype(float)), 1.0)
+    x = MARGIN + days[places] / length * (WIDTH - 2 * MARGIN)
+    y = height(value[places])
+    longest = max(LONGEST_GAP, 3 * length / POINTS)
+    letters = np.where(np.diff(days[places], prepend=-np.inf) > longest, "M", "L")
+    level = motor.level[np.isfinite(motor.level)]
+    line = "".join(f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True))
+    baseline = f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else ""
+    text = f"Leakage {figure(value.min())} to {figure(value.max())} l/min"
+    return (
+        f'<svg class="sparkline" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{text}">'
+        f'<path class="level" d="{baseline}"/><path d="{line}"/>'
+        f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="2.2"/></svg>'
+    )

@@ -13,8 +13,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array
+from pipeline.config import Fleet, MotorSpec
 from pipeline.schema import NIGHTS, TRENDS, Table, frame
 from pipeline.store.tables import read_rows
+from pipeline.trends.motor_states import MotorState
 
 
 def finite_rows(
@@ -36,18 +38,46 @@ def finite_rows(
     )
 
 
+RECENT_NIGHTS = 30
 # A figure over a motor's nights and the ends of its interval, shape (n,) each; NaN: none.
 Course = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
 class MotorHistory:
-    """All nights of a motor."""
+    """A motor: its state, and all its nights."""
 
-    motor_id: str
+    state: MotorState  # as `motor-leakage status` prints it
+    spec: MotorSpec | None  # None of one that the config has no more
+    reference: tuple[float, float, float]  # reference conditions: bar, °C, rpm
     rows: pl.DataFrame  # its rows of `nights` in time order, n of them
     # Its rows of `trends` by indicator, in time order; empty where no run has made trends.
     trends: Mapping[str, pl.DataFrame]
+
+    @property
+    def motor_id(self) -> str:
+        """The motor."""
+        return self.state.motor_id
+
+    @property
+    def motor_type(self) -> str:
+        """Its type."""
+        return self.spec.file.motor_type if self.spec else str(self.state.row["motor_type"] or "")
+
+    @property
+    def newest_data(self) -> dt.datetime | None:
+        """End of the newest data that were kept, UTC; None without any."""
+        newest = self.rows["last_sample"].max()
+        assert newest is None or isinstance(newest, dt.datetime)
+        return newest
+
+    @property
+    def recent(self) -> list[str]:
+        """Statuses of its newest 30 nights, of those that have a row."""
+        if not self.nights:
+            return []
+        first = self.nights[-1] - dt.timedelta(days=RECENT_NIGHTS)
+        return self.rows.filter(self.rows["night"] > first)["status"].to_list()
 
     @cached_property
     def nights(self) -> list[dt.date]:
@@ -101,24 +131,29 @@ class MotorHistory:
         return value, lower, upper
 
 
-def motor_histories(output: Path, motor_ids: Sequence[str]) -> list[MotorHistory]:
+def motor_histories(fleet: Fleet, states: Sequence[MotorState]) -> list[MotorHistory]:
     """The history of each motor."""
+    motor_ids = [state.motor_id for state in states]
     nights, trends = (
-        by_motor(finite_rows(output, table, motor_ids).sort("night")) for table in (NIGHTS, TRENDS)
+        by_motor(finite_rows(fleet.output, table, motor_ids).sort("night"))
+        for table in (NIGHTS, TRENDS)
     )
-    return [
-        MotorHistory(
-            name,
-            nights.get(name, frame(NIGHTS, [])),
-            {
-                part["indicator"][0]: part
-                for part in trends.get(name, frame(TRENDS, [])).partition_by(
-                    "indicator", maintain_order=True
-                )
-            },
+    specs = {spec.motor_id: spec for spec in fleet.motors}
+    histories = []
+    for state in states:
+        name, spec = state.motor_id, specs.get(state.motor_id)
+        at = spec.settings.reference if spec else fleet.settings.reference
+        own = trends.get(name, frame(TRENDS, [])).partition_by("indicator", maintain_order=True)
+        histories.append(
+            MotorHistory(
+                state,
+                spec,
+                (at.pressure_bar, at.temperature_c, at.speed_rpm),
+                nights.get(name, frame(NIGHTS, [])),
+                {part["indicator"][0]: part for part in own},
+            )
         )
-        for name in motor_ids
-    ]
+    return histories
 
 
 def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:

@@ -11,6 +11,10 @@ from pipeline.schema.fits import model_verdict
 from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"
+INDICATORS: Final[Mapping[str, str]] = {
+    "pressure_zero": "zero of the pressure sensor",
+    "flow_zero": "zero of the flow sensor",
+}
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",
     "um": "µm",
@@ -28,32 +32,6 @@ STATES: Final[Mapping[str, str]] = {
     "insufficient": "too few nights for a baseline, or to show a change",
     "ok": "no change was detected; each motor says how small a step would have been",
 }
-NAMES = {
-    "leakage": "leakage",
-    "reference_leakage": "leakage at reference conditions",
-    "own_reference_leakage": "leakage at its usual operating point",
-    "baseline_deviation": "case drain flow against the baseline",
-    "drain_flow": "case drain flow",
-    "oil_viscosity": "viscosity as measured against the data sheet",
-    "C_f": "flushing",
-    "pressure_zero": "zero of the pressure sensor",
-    "flow_zero": "zero of the flow sensor",
-}
-
-
-def name_of(indicator: str) -> str:
-    """Return an indicator's name for people.
-
-    Examples
-    --------
-    >>> name_of("K_balance_sleeve"), name_of("gap_change_piston_ring"), name_of("drain_flow")
-    ('balance sleeve leakage coefficient', 'piston ring gap', 'case drain flow')
-    """
-    kinds = (("K_", "leakage coefficient"), ("leakage_", "leakage"), ("gap_change_", "gap"))
-    for prefix, what in kinds:
-        if indicator.startswith(prefix):
-            return f"{indicator.removeprefix(prefix).replace('_', ' ')} {what}"
-    return NAMES.get(indicator, indicator.replace("_", " "))
 
 
 def refusal(code: str) -> str:

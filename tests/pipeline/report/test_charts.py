@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.report.build import page_of
 from pipeline.report.charts import night_chart, residual_chart
-from pipeline.report.pages import page_of
 from pipeline.report.plotly_json import figure, numbers, script_json
 from pipeline.schema import PREDICTIONS, RESIDUAL_TESTS
 from pipeline.store.tables import read_table
