@@ -135,11 +135,9 @@ def without_counts(template: Parts) -> Parts:
     """
     *folders, name = template
     begin, mark, end = name.rpartition(VARIES)
-    if not mark and any(VARIES in folder for folder in folders):
-        return template
     last = Path(f"_{end}")
     counted = f"{begin}{mark}{_counted(last.stem)[1:]}{last.suffix}"
-    if folders and counted == name and not mark:
+    if folders and counted == name and VARIES not in "".join(template):
         folders[-1] = _counted(folders[-1])
     return (*folders, counted)
 
