@@ -64,6 +64,8 @@ def check(
     from pipeline.report.status import standing
     from pipeline.setup.check import check_motor
     from pipeline.store.state import read_state_file
+    from pipeline.trends.decisions import read_decisions
+    from pipeline.trends.tasks import decisions_of
 
     if tables:
         raise typer.Exit(_check_tables(config, output, as_json=as_json))
@@ -71,10 +73,12 @@ def check(
     fleet = paired_as_published(fleet, fleet.output)
     with read_state_file(fleet.output) as state:
         stays, _ = read_stays(state, [spec.motor_id for spec in fleet.motors])
+    decisions = decisions_of(fleet.motors, read_decisions(fleet.output))
     checks: tuple[MotorCheck, ...] = ()
     with progress_bar("motors", is_shown=not as_json) as draw:
         for spec in fleet.motors:
-            checks += (check_motor(spec, stays[spec.motor_id], is_full=full),)
+            own = decisions[spec.motor_id]
+            checks += (check_motor(spec, stays[spec.motor_id], own, is_full=full),)
             draw(len(checks), len(fleet.motors))
     for motor in checks:
         if as_json:

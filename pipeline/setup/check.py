@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,9 +39,9 @@ from pipeline.night.column_change import (
     readings_of,
     usual_readings,
 )
-from pipeline.night.fit_night import fit_night
+from pipeline.night.fit_night import clean_channels, fit_night
 from pipeline.night.sample_rows import strange_flow
-from pipeline.night.time_base import Samples
+from pipeline.night.time_base import Insufficient, Samples
 from pipeline.schema.fits import (
     DECIDING_NIGHTS,
     FAILED,
@@ -63,6 +65,7 @@ from pipeline.setup.samples import (
     sampling_note,
     temperature_jumps,
 )
+from pipeline.trends.decisions import Decision
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
@@ -125,13 +128,17 @@ class MotorCheck:
 
 
 def check_motor(
-    spec: MotorSpec, stays: Collection[dt.date] = (), *, is_full: bool = False
+    spec: MotorSpec,
+    stays: Collection[dt.date] = (),
+    decisions: Sequence[Decision] = (),
+    *,
+    is_full: bool = False,
 ) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
-    Where the newest night would not be fitted, the first and the middle one are looked into, too;
-    with `is_full` all are, but for those that stay as published.
+    Where the newest night would not be fitted, the first and the middle one are fitted, too; with
+    `is_full` all are, but for those that stay as published. `decisions` are the motor's.
 
     Raises StoreError if an object store cannot be read.
     """
@@ -144,11 +151,18 @@ def check_motor(
     logs = MotorLogs(spec, {}, latest_us(), {}, records)
     nights = {label for record in records.values() for label in labels_of(record)}
     open_nights = sorted(nights.difference(stays))
-    looks = list((_every_look if is_full else _few_looks)(spec, logs, open_nights))
+    excluded, released = (
+        {decision.night for decision in decisions if decision.kind == kind}
+        for kind in ("excluded", "released")
+    )
+    if is_full:
+        looks = list(_every_look(spec, logs, open_nights, released))
+    else:
+        looks = list(_few_looks(spec, logs, _small_nights(logs, open_nights)))
     forecast = tuple(
         NightForecast(str(look.label), look.status, look.reason, **look.lag) for look in looks
     )
-    channels, unfit, worth = _look_into(spec, logs, looks)
+    channels, unfit, worth = _look_into(spec, logs, looks, excluded | released)
     notes = [*worth, *_messages(logs.files, "growing"), *_lag_notes(spec, forecast)]
     if len(names) != len(source.names):
         notes.append(
@@ -221,10 +235,12 @@ class _NightLook:
     row: Mapping[str, Any] = field(default_factory=dict)  # as of `nights`
     lag: Mapping[str, float | None] = field(default_factory=dict)  # as of `fits`
     samples: Samples | None = None  # that cleaning kept; None for none
+    extremes: Mapping[str, str] = field(default_factory=dict)  # as `repeated_extremes`
+    is_changed: bool = False  # whether it is refused for columns or units other than before
 
 
 def _every_look(
-    spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]
+    spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date], released: Collection[dt.date]
 ) -> Iterable[_NightLook]:
     """Look into all nights, in order of time; each is compared with those before it."""
     looks: dict[dt.date, _NightLook] = {}
@@ -235,18 +251,30 @@ def _every_look(
         look = _look_at_night(spec, logs, label)
         looks[label] = look if label == labels[-1] else replace(look, samples=None)
         usual = usual_readings(looks[day].row for day in before[-USUAL_NIGHTS:])
-        readings = readings_of(look.row)
+        readings = readings_of(look.row) if label not in released else {}
         if usual and readings and (change := column_change(spec, usual, readings)):
-            for day in before if change.is_of_others else [label]:
-                looks[day] = replace(looks[day], status=FAILED, reason=change.words)
+            for day in set(before) - set(released) if change.is_of_others else [label]:
+                looks[day] = replace(
+                    looks[day], status=FAILED, reason=change.words, is_changed=True
+                )
     return looks.values()
 
 
-def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> Iterator[_NightLook]:
-    """Look into the newest night that is small; where it is not fitted the first and middle one."""
+def _small_nights(logs: MotorLogs, labels: Iterable[dt.date]) -> list[dt.date]:
+    """Return the newest, first and middle one of the nights that are small."""
+    small = _readable(logs, labels)
+    return list(dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small))
+
+
+def _readable(logs: MotorLogs, labels: Iterable[dt.date]) -> list[dt.date]:
+    """Return nights whose logs are small enough to look into, in order of time."""
     sizes = {label: sum(logs.files[name].size for name in logs.of_night(label)) for label in labels}
-    small = [label for label in labels if sizes[label] <= LARGEST_LOG_BYTES]
-    for label in dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small):
+    return sorted(label for label in sizes if sizes[label] <= LARGEST_LOG_BYTES)
+
+
+def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> Iterator[_NightLook]:
+    """Look into nights until one of them is fitted."""
+    for label in labels:
         look = _look_at_night(spec, logs, label)
         yield look
         if look.status == OK:
@@ -254,18 +282,14 @@ def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> I
 
 
 def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLook:
-    here = night(label, spec.settings.nights)
-    names = logs.of_night(label)
-    contents = [logs.content(name) for name in (*logs.before_night(here), *names)]
-    broken = [record for name in names if (record := logs.files[name]).status != "ok"]
-    if broken:
+    channels = _channels_of(spec, logs, label)
+    files = (logs.files[name] for name in logs.of_night(label))
+    if broken := [record for record in files if record.status != "ok"]:
         return _NightLook(label, FAILED, broken[0].message or "")
-    read = [content for content in contents if content is not None]
-    channels = slice_night(read, here, reaches_us(spec))
-    if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
+    if not channels:
         return _NightLook(label, NO_NEW_DATA, "no log covers this night")
-    kept = list[Samples]()
-    outcome = fit_night(spec, here, channels, kept.append)
+    extremes, kept = repeated_extremes(spec, channels), list[Samples]()
+    outcome = fit_night(spec, night(label, spec.settings.nights), channels, kept.append)
     logs.let_go_until(label - DAY)
     return _NightLook(
         label,
@@ -274,7 +298,28 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         outcome.rows["nights"][0],
         {name: outcome.rows["fits"][0].get(name) for name in LAG_COLUMNS},
         next((samples for samples in kept if len(samples.index)), None),
+        extremes,
     )
+
+
+def _channels_of(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> dict[str, RawChannel]:
+    """Return raw channels of a night; empty where no log covers it."""
+    here = night(label, spec.settings.nights)
+    contents = [logs.content(name) for name in (*logs.before_night(here), *logs.of_night(label))]
+    read = [content for content in contents if content is not None]
+    channels = slice_night(read, here, reaches_us(spec))
+    is_covered = any((channel.time_us >= here.start_us).any() for channel in channels.values())
+    return channels if is_covered else {}
+
+
+def _samples_of(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Samples | None:
+    """Return the samples of a night that cleaning keeps; None for none."""
+    if channels := _channels_of(spec, logs, label):
+        here = night(label, spec.settings.nights)
+        with suppress(Insufficient):
+            samples, _ = clean_channels(spec.file, spec.settings, here, channels)
+            return samples if len(samples.index) else None
+    return None
 
 
 def _lag_notes(spec: MotorSpec, forecast: Sequence[NightForecast]) -> Iterator[str]:
@@ -327,7 +372,7 @@ def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -
 
 
 def _look_into(
-    spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook]
+    spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook], decided: Collection[dt.date]
 ) -> tuple[tuple[ChannelCheck, ...], Sequence[str], Sequence[str]]:
     """Look into the newest log that is small.
 
@@ -352,10 +397,11 @@ def _look_into(
     )
     look = next((look for look in looks if look.label == label), None)
     samples = None if look is None else look.samples
-    if samples and (changed := changed_readings(spec, small, logs.content, samples)):
+    faults = [*_changed_nights(spec, logs, looks, decided)]
+    if faults:
         # What else is odd follows from it.
-        return checks, [*changes, changed], []
-    notes = [operation(spec, samples), *strange_flow(samples)] if samples else []
+        return checks, [*changes, *faults], []
+    notes = [operation(spec, label, samples), *strange_flow(samples)] if samples else []
     if look and not samples:
         notes = [f"no sample of the night {label} is kept"]
     for name, channel in spec.file.channels.items():
@@ -365,12 +411,43 @@ def _look_into(
         *changes,
         *differing_units(spec.file, header(newest)),
         *suspect_units(spec, label, log.channels),
-        *repeated_extremes(spec, log.channels),
+        *_extremes(spec, logs, looks),
     ]
     notes += temperature_jumps(log.channels["oil_temperature"])
     notes += unused_qualities(logs.path(newest), header(newest), spec.file)
     # What is refused mostly follows from the rest.
     return checks, faults or [*_refused(checks, speed.time_us)], notes
+
+
+def _changed_nights(
+    spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook], decided: Collection[dt.date]
+) -> Iterator[str]:
+    """Yield the nights of other columns or units than before, but for those that people decided."""
+    how = "mend the log or the motor's file, or enter a dated event if the motor runs so now"
+    changed = [look for look in looks if look.is_changed and look.label not in decided]
+    newest = max(looks, key=lambda look: look.label, default=None)
+    if changed:
+        nights = f"{counted(len(changed), 'night')}, {changed[0].label} to {changed[-1].label}"
+        yield f"columns_changed: {nights}, would be refused: {changed[0].reason}; {how}"
+    elif newest and newest.samples and newest.label not in decided:
+        labels, samples_of = _readable(logs, logs.present()), partial(_samples_of, spec, logs)
+        if change := changed_readings(spec, labels, samples_of, newest.samples):
+            label, why = change
+            name = logs.of_night(label)[0]
+            yield f"columns_changed: from the night {label} ({name}) on: {why}"
+
+
+def _extremes(spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook]) -> Iterator[str]:
+    """Yield extreme values that are no readings, each with the first night that has it."""
+    by_night = {look.label: look.extremes for look in looks}
+    for label in _small_nights(logs, logs.present()):
+        if label not in by_night and (channels := _channels_of(spec, logs, label)):
+            by_night[label] = repeated_extremes(spec, channels)
+    first = dict[str, str]()
+    for label, extremes in sorted(by_night.items()):
+        for extreme, words in extremes.items():
+            first.setdefault(extreme, f"extreme_repeated: {extreme} {words} (night {label})")
+    yield from first.values()
 
 
 def _refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:

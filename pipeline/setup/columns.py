@@ -19,14 +19,11 @@ from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.channels import COUNTED, PORT_PRESSURES
 from pipeline.config.motors import MotorFile
-from pipeline.config.nights import night
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, RawLog
-from pipeline.logs.files import reaches_us, slice_night
+from pipeline.ingest import RawChannel
 from pipeline.night.column_change import COLUMNS, Change, column_change
-from pipeline.night.fit_night import clean_channels
 from pipeline.night.sample_rows import conditions
-from pipeline.night.time_base import Insufficient, Samples
+from pipeline.night.time_base import Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
 from pipeline.setup.samples import temperature_jumps
 from pipeline.setup.signals import quality_words, signals_of
@@ -208,38 +205,32 @@ def _alone(these: Iterable[str], others: Collection[str]) -> str:
 
 def changed_readings(
     spec: MotorSpec,
-    dated: Dated,
-    content: Callable[[str], RawLog | None],
+    labels: Sequence[dt.date],
+    samples_of: Callable[[dt.date], Samples | None],
     newest: Samples,
-) -> str | None:
-    """Return the log from which on readings look like those of other columns or units, or None.
+) -> tuple[dt.date, str] | None:
+    """Return the night from which on readings look like those of other columns or units, and why.
 
-    The first log is that since the last event.
+    The first night is that since the last event; None where the newest is as the first.
     """
     since = max((event.date for event in spec.file.baseline_events), default=dt.date.min)
-    dated = [(label, name) for label, name in dated if label >= since]
+    labels = [label for label in labels if label >= since]
 
-    def means(at: int) -> dict[str, float]:
-        label, name = dated[at]
-        if (log := content(name)) is None:  # which is a fault of that log already
-            return {}
-        here = night(label, spec.settings.nights)
-        channels = slice_night([log], here, reaches_us(spec))
-        try:
-            samples, _ = clean_channels(spec.file, spec.settings, here, channels)
-        except Insufficient:
-            return {}
-        return _means(samples) if len(samples.index) else {}
+    def means(label: dt.date) -> dict[str, float]:
+        samples = samples_of(label)
+        return {} if samples is None else _means(samples)
 
     def change_to(now: dict[str, float]) -> Change | None:
         return column_change(spec, usual, now) if usual and now else None
 
-    usual = means(0) if len(dated) > 1 else {}
+    usual = means(labels[0]) if len(labels) > 1 else {}
     if (change := change_to(_means(newest))) is None:
         return None
-    last = len(dated) - 1
-    first = bisect_left(range(last), True, 1, key=lambda at: change_to(means(at)) is not None)
-    return f"columns_changed: from {dated[first][1]} on: {change.words}"
+    last = len(labels) - 1
+    first = bisect_left(
+        labels, True, 1, last, key=lambda label: change_to(means(label)) is not None
+    )
+    return labels[first], change.words
 
 
 def _means(samples: Samples) -> dict[str, float]:

@@ -6,6 +6,7 @@ the keys of such a channel.
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -141,8 +142,12 @@ def temperature_jumps(log: RawChannel) -> Iterator[str]:
         )
 
 
-def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
-    """Yield channels whose highest or lowest value is no reading, with the key that refuses it."""
+def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> dict[str, str]:
+    """Return highest and lowest values that are no readings, and the keys that refuse them.
+
+    They are by channel and value.
+    """
+    extremes = dict[str, str]()
     for name, channel in spec.file.channels.items():
         if channel.constant is not None or channel.counts is not None:
             continue
@@ -153,11 +158,11 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> It
             low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
             limit = float(f"{(extreme + nearest) / 2:.3g}")
             low, high = (low, limit) if extreme > nearest else (limit, high)
-            yield (
-                f"extreme_repeated: {name}: {extreme:g} stands {np.sum(value == extreme)} times, "
-                f"and no other value is beyond {nearest:.4g}: if it is no reading, "
-                f"valid_range = [{low:g}, {high:g}] refuses it"
+            extremes[f"{name}: {extreme:g}"] = (
+                f"stands {np.sum(value == extreme)} times, and no other value is beyond "
+                f"{nearest:.4g}: if it is no reading, valid_range = [{low:g}, {high:g}] refuses it"
             )
+    return extremes
 
 
 def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
@@ -194,7 +199,7 @@ def _sentinels(value: Array) -> Iterator[tuple[float, float]]:
 # What a night gives
 
 
-def operation(spec: MotorSpec, samples: Samples) -> str:
+def operation(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
     """Return running minutes of a night, its conditions, and what they are enough for, in words.
 
     Conditions are the 5th to 95th percentiles while the motor ran.
@@ -208,8 +213,8 @@ def operation(spec: MotorSpec, samples: Samples) -> str:
         share = min((high - low) / full, 1.0)
         reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
     ran = (
-        f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
-        "identifies every path within 30 minutes"
+        f"in the night {label} the motor ran {minutes:.3g} minutes, at {', '.join(reached)} of the "
+        "range that identifies every path within 30 minutes"
     )
     needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.training_share
     if minutes < needed:

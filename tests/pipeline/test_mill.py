@@ -147,7 +147,7 @@ def test_a_mills_first_day_in_four_commands(
     stray.write_bytes(next(Path("logs/Walze1").iterdir()).read_bytes())
     code, noted, said = call("check", fleet)
     assert code == 1
-    assert "Walze2_20260320.csv on: columns changed? oil temperature and speed look swap" in said
+    assert "Walze2_20260320.csv) on: columns changed? oil temperature and speed look swap" in said
     assert "Walze3_20260322.csv: the last line has no end" in noted
     assert "1 file matches no motor: Walze1/old.csv" in noted
     code, _, said = call("fit-fleet", fleet)

@@ -278,6 +278,10 @@ LAYOUTS: Mapping[str, tuple[Sequence[str], str]] = {
     "copies": (["Export.csv", "Export (1).csv", "Export (2).csv"], "Export*.csv"),
     "parts of a bag": ([f"shift/shift_{number}.csv" for number in (0, 1, 2)], "shift/shift_*.csv"),
     "ids": ([f"{number}f3c9a1b7d2e.csv" for number in (1, 2, 3)], "*.csv"),
+    "hours in folders of days": (
+        [f"2026/01/0{day}/hist_0{day}.csv" for day in (1, 2, 3)],
+        "*/*/*/hist_*.csv",
+    ),
     "a word that may name motors": ([f"winch{n}.csv" for n in (1, 2, 3)], "winch*.csv"),
 }
 
@@ -483,6 +487,21 @@ def test_what_is_wrong_with_a_log_is_named(log: str, plant: Plant) -> None:
     assert jumps == ("temperature" in log)
 
 
+def test_values_of_no_reading_are_seen_in_other_logs_than_the_newest(plant: Plant) -> None:
+    """The oldest, middle and newest night of four are looked into; the second one with --full."""
+    nights = {
+        1: wide(1, edit=constant("leakage_flow", 65.535, lambda at: at % 150 < 5)),
+        2: wide(2, edit=constant("oil_temperature", 85.0, lambda at: at % 150 < 5)),
+        3: wide(3),
+        4: wide(4),
+    }
+    plant.init({f"w_2026-01-0{night}.csv": text for night, text in nights.items()})
+    for options, channels in ([], ["leakage_flow"]), (["--full"], ["leakage_flow", "oil_temp"]):
+        (motor,) = plant.check(*options)
+        faults = [fault.removeprefix("extreme_repeated: ")[:8] for fault in motor["faults"]]
+        assert faults == [channel[:8] for channel in channels]
+
+
 @covers("check")
 def test_on_its_first_day_a_motor_has_no_fault(plant: Plant) -> None:
     """Four minutes of a log so far: too few for a fit, and nothing to mend; a day later it is."""
@@ -631,24 +650,35 @@ def test_samples_of_an_import_have_the_time_of_their_publishing(plant: Plant) ->
 # Another unit from one night on
 
 
-@covers("ack --night --note", "ack --night --fit --note", "fit-fleet")
+@covers("ack --night --note", "ack --night --fit --note", "fit-fleet", "check --full --json")
 def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
-    """The fifth night's drain flow is in l/h where the others are in l/min."""
-    nights = {night: wide(night) for night in (1, 2, 3, 4)}
-    nights[5] = wide(5, edit=factor("leakage_flow", 60.0))
-    assert plant.init({f"w_2026-01-0{n}.csv": text for n, text in nights.items()}).code == 0
+    """The drain flow of the fourth night of five is in l/h where the others are in l/min."""
+    nights = {night: wide(night) for night in (1, 2, 3, 5)}
+    nights[4] = wide(4, edit=factor("leakage_flow", 60.0))
+    assert plant.init({f"w_2026-01-0{n}.csv": nights[n] for n in sorted(nights)}).code == 0
+    failed = [*["ok"] * 3, "failed", "ok"]
+
+    def checked() -> tuple[list[str], list[str]]:
+        """Codes of the faults, and what is forecast."""
+        (motor,) = plant.check("--full")
+        codes = [fault.partition(":")[0] for fault in motor["faults"]]
+        return codes, [night["status"] for night in motor["forecast"]]
+
+    assert checked() == (["columns_changed"], failed)
     assert plant.fit().code == 1
-    assert plant.table()["status"].to_list() == [*["ok"] * 4, "failed"]
-    label = str(plant.table()["night"][-1])
+    assert plant.table()["status"].to_list() == failed
+    label = str(plant.table()["night"][3])
     words = ("w", "--note", "seen", "--night")
     refused = plant.run("ack", *words, "2026-01-02")
     assert refused.code == 2
     assert label in refused.err
     assert plant.run("fit-fleet").code == 1
     assert "excluded" in plant.run("ack", *words, label).out
+    assert checked() == ([], failed)
     assert plant.run("fit-fleet").code == 0
-    assert plant.table()["status"].to_list() == [*["ok"] * 4, "failed"]
+    assert plant.table()["status"].to_list() == failed
     assert "fits it" in plant.run("ack", *words, label, "--fit").out
+    assert checked() == ([], ["ok"] * 5)
     done = plant.run("fit-fleet")
     assert (done.code, "1 ok" in done.out) == (0, True)
     assert plant.table()["status"].to_list() == ["ok"] * 5

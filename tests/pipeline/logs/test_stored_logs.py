@@ -135,7 +135,7 @@ def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_
     assert opened == {str(FIRST + number * DAY) for number in (0, 3, 4)}
     assert (one.n_files, one.first, one.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
     ran, *_, note = one.notes
-    assert ran.startswith("the motor ran ")
+    assert ran.startswith(f"in the night {FIRST + 4 * DAY} the motor ran ")
     assert note.startswith("3 of 5 objects were opened")
     ended = CliRunner().invoke(app, ["check", str(shop.fleet)])
     assert ended.exit_code == 0
