@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from tests.pipeline.faults.crash import FAULTS, Fault, victim_in
-from tests.pipeline.notification.servers import hook, keep, told
+from tests.pipeline.notification.servers import delivered, hook, keep
 from tests.pipeline.notification.test_mail import serving
 from tests.scenarios.command import run_command
 from tests.scenarios.covering import covers
@@ -215,10 +215,10 @@ def test_a_check_that_is_broken_off_anywhere_is_made_up_for(
     whole = copied("whole")
     with victim_in(tmp_path) as victim:
         n_writes = victim.crash_at(0, check, whole.folder, whole.output, fault).seen
-        (message,) = told(whole.folder)
+        (message,) = delivered(whole.folder)
         for point in range(1, n_writes + 1, every):
             other = copied(str(point))
             victim.crash_at(point, check, other.folder, other.output, fault)
             other.run("look")
             assert other.table("intraday").equals(whole.table("intraday"))
-            assert {one["id"] for one in told(other.folder)} == {message["id"]}
+            assert {one["id"] for one in delivered(other.folder)} == {message["id"]}
