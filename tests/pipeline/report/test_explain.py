@@ -11,9 +11,9 @@ import pytest
 
 from pipeline.config import load_fleet
 from pipeline.report.explain import explain, explain_warm_up
-from pipeline.run.fleet import RunRequest, run_fleet
 from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table, rows_with
+from tests.pipeline.run.demo_runs import run
 
 FIRST = dt.date(2026, 1, 2)
 
@@ -28,10 +28,11 @@ def test_a_poor_fit_is_called_one(output: Path) -> None:
 
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
-    fleet = load_fleet(own_fleet("CB400-02"))
+    file = own_fleet("CB400-02")
+    fleet = load_fleet(file)
     log = min((fleet.log_root / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
-    run_fleet(RunRequest(fleet, until=FIRST))
+    run(file)
     lines = explain(fleet.output, "CB400-02", FIRST)
     assert lines[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
     assert lines[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
