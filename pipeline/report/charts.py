@@ -264,7 +264,9 @@ def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
     ]
     if np.isfinite(limits).any():
         warning = float(limits[np.isfinite(limits)][-1])
-        lines.append(level(f"warning from +{warning:.2g} %, ten nights", warning, ORANGE, "dot"))
+        lines.append(
+            level(f"warning from a step of +{warning:.2g} %, ten nights", warning, ORANGE, "dot")
+        )
     areas: tuple[Area, ...] = ()
     if projection is not None:
         lines.append(projection.line)
