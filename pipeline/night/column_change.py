@@ -156,6 +156,7 @@ def _other_units(
         is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
         if channel.counts is not None or not is_unusual:
             continue
+        place = f"channels.{name}" if name in channels else "both gauges"
         may_be_right = is_of_others and name in MAY_RISE and now[name] > usual[name]
         for configured, unit in product(channel.units, UNITS[QUANTITIES[name]]):
             # As it is if the log is in another unit than configured.
@@ -169,7 +170,7 @@ def _other_units(
                 words = (
                     f"unit changed? {_changed(name, usual, now)}: as {like} if the log {when} has "
                     f"it in {unit} where the config has {configured} (earlier_units of "
-                    f"channels.{name} date a unit)"
+                    f"{place} date a unit)"
                 )
                 yield off, Change(words, is_of_others)
 

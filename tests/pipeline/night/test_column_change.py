@@ -52,7 +52,7 @@ WITH_PORTS = (*USUAL, 195.0, 15.0)
         (WITH_PORTS, (193.5, *USUAL[1:], 195.0, 1.5), "low port pressure 1.5 bar, usually 15 bar"),
         (WITH_PORTS, (4.5, *USUAL[1:], 19.5, 15.0), "high port pressure 19.5 bar, usually 195 bar"),
         (WITH_PORTS, (4.5, *USUAL[1:]), "difference 4.5 bar, usually 180 bar: of one of its two"),
-        (WITH_PORTS, (17.0, *USUAL[1:]), "as usual if the log now has it in MPa"),
+        (WITH_PORTS, (17.0, *USUAL[1:]), "in MPa where the config has bar (earlier_units of both"),
         (WITH_PORTS, WITH_PORTS, ""),
         (WITH_PORTS, (90.5, *USUAL[1:], 195.0, 104.5), ""),
         # A light night of which the flow is mostly flushing.
