@@ -12,6 +12,7 @@ from pipeline.config import dialect, load_fleet
 from pipeline.ingest.conformance import Check, checks_of
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs
+from tests.pipeline.workshop import QUICK
 
 pytest.importorskip("asammdf", reason="asammdf is of requirements/full.txt")
 sys.path.insert(0, str(Path(__file__).parents[3] / "examples" / "mdf4_reader"))
@@ -42,7 +43,7 @@ def test_the_example_conforms(check: Check, tmp_path: Path) -> None:
 
 def test_a_run_fits_a_motor_from_the_example_s_format(tmp_path: Path) -> None:
     text = motor_toml("M1", files='"*.mf4"').replace('"parquet"', '"mdf4"')
-    fleet = load_fleet(write_configs(tmp_path, {"M1": text}))
+    fleet = load_fleet(write_configs(tmp_path, {"M1": text}, fleet=QUICK))
     operation = operate()
     values = operation.channels(operation.flow(fleet.motors[0].motor(NIGHT, "none")))
     rows = [
