@@ -114,7 +114,7 @@ def within(*parts: str) -> str:
 def twice_over(depth: int) -> str:
     """Each message holds the next one twice: 2 to the depth of fields, in a few lines."""
     inner = [f"MSG: m/L{i}\nL{i + 1} a\nL{i + 1} b" for i in range(depth)]
-    return within("L0 a\nuint8 v", *inner, f"MSG: m/L{depth}\nuint8 x")
+    return within("L0 a\nuint8 v", *inner, f"MSG: m/L{depth}\nint32[64] x")
 
 
 def protobuf(*files: Any, payload: bytes = b"") -> Hostile:
