@@ -172,7 +172,6 @@ def name_of(folder: str) -> AfterValidator:
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(gt=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, le=31_536_000)]
 TimeZone = Annotated[str, AfterValidator(known_zone)]
 Id = Annotated[

@@ -18,7 +18,6 @@ from pipeline.config.section import (
     Positive,
     Seconds,
     Section,
-    Share,
     Stage,
     TimeZone,
     left_out,
@@ -137,14 +136,10 @@ class Windows(Section):
 
     split: Literal["chronological", "interleaved"] = "chronological"
     """`chronological`: the first blocks train; `interleaved`: seven train, then three validate."""
-    training_share: Share = Field(0.8, lt=1)
-    """Share of the kept samples that trains."""
-    minimum_kept_share: Annotated[Share, Stage.NIGHT] = 0.6
-    """Share of running samples that a fit needs."""
 
     def blocks(self) -> Blocks:
         """Return the same as the estimation takes them."""
-        return Blocks(BLOCK_S, split=self.split, training_share=self.training_share)
+        return Blocks(BLOCK_S, split=self.split)
 
 
 class SensorHealth(Section):
@@ -221,8 +216,6 @@ class Trend(Section):
 
     baseline_nights: int = Field(8, ge=8)
     """Nights of a baseline, after which the watch begins."""
-    horizon_years: Positive = 5.0
-    """Time beyond which a limit is `beyond_horizon`."""
 
 
 class Folders(Section):

@@ -128,7 +128,7 @@ def blocks_so_far(
     Raises Insufficient or LeakageError where they say nothing.
     """
     samples, quality = clean_channels(spec.file, spec.settings, night, channels)
-    require_enough(samples, quality, spec)
+    require_enough(samples, quality)
     samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
     samples, outside = choose_parts(spec.file, night, samples)
     require_parts(samples, outside)

@@ -40,6 +40,8 @@ from pipeline.units import RUNNING_HOURS
 
 # Fewer blocks than these minutes fill tell nothing of the errors beyond one of them.
 MINIMUM_TRAINING_MINUTES = 5.0
+# Of fewer of the running motor's samples nobody knows whether they are typical of the night.
+MINIMUM_KEPT_SHARE = 0.6
 
 # Tables below a night that have rows without a fit, too.
 WITHOUT_A_FIT = ("quality", "blocks")
@@ -83,7 +85,7 @@ def fit_night(
             look(samples)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             data = data_columns(night, samples, channels.get(RUNNING_HOURS))
-            require_enough(samples, quality, spec)
+            require_enough(samples, quality)
             samples, outside = choose_parts(spec.file, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             require_parts(samples, outside)
@@ -181,21 +183,20 @@ def clean_channels(
     return samples, counted + joint
 
 
-def require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
+def require_enough(samples: Samples, quality: tuple[Quality, ...]) -> None:
     """Raise Insufficient if the motor stood still, or too few of its samples are kept."""
     still = samples.n_logged - samples.n_turning
     # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
     if not samples.n_running and 2 * still > samples.n_logged:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
-    if samples.kept_share < spec.settings.windows.minimum_kept_share:
+    if samples.kept_share < MINIMUM_KEPT_SHARE:
         rules = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
         rules.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
         causes = _shares({f"{q.channel} {q.reason}": q for q in rules[:2]})
-        limit = 100 * spec.settings.windows.minimum_kept_share
         raise Insufficient(
             INSUFFICIENT_DATA,
             f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
-            f"{limit:.0f} % are needed" + (f" ({causes})" if causes else ""),
+            f"{100 * MINIMUM_KEPT_SHARE:.0f} % are needed" + (f" ({causes})" if causes else ""),
         )
 
 

@@ -216,7 +216,7 @@ def operation(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
         f"in the night {label} the motor ran {minutes:.3g} minutes, at {', '.join(reached)} of the "
         "range that identifies every path within 30 minutes"
     )
-    needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.training_share
+    needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.blocks().training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
     return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"

@@ -24,6 +24,8 @@ from pipeline.trends.watch_columns import LOSS_FACTOR
 from pipeline.trends.zeros import Zero
 
 DAYS_A_YEAR = 365.25
+# A straight line says nothing of a limit beyond [years].
+HORIZON_YEARS = 5.0
 REFERENCE = "reference_leakage"
 NO_HALT, NO_FIGURE = "no settled halt without pressure", "no figure"
 
@@ -105,12 +107,10 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
         row |= {f"slope_{per}_lower": slope.lower, f"slope_{per}_upper": slope.upper}
     if line.slope is None or limit is None:
         return row, {}
-    return row, _days(numbers, hours, series, limit, night.spec.settings.trend.horizon_years)
+    return row, _days(numbers, hours, series, limit)
 
 
-def _days(
-    nights: NDArray[np.int64], hours: Array, series: Array, limit: float, years_ahead: float
-) -> Row:
+def _days(nights: NDArray[np.int64], hours: Array, series: Array, limit: float) -> Row:
     """Return days to a limit: the fit goes by running hours, and the days by the hours of a night.
 
     Those of the last month and of all nights may differ; the earliest date takes the larger, the
@@ -122,7 +122,7 @@ def _days(
     )
     # A motor that has stood still for a month is taken to run again as it did.
     rates = every, recent or every
-    ahead = time_to_limit(nights, hours, series, limit, years_ahead * DAYS_A_YEAR * max(rates))
+    ahead = time_to_limit(nights, hours, series, limit, HORIZON_YEARS * DAYS_A_YEAR * max(rates))
 
     def days(time: float | None, rate: float) -> float | None:
         return None if time is None else time / rate

@@ -33,7 +33,7 @@ NIGHTS = tuple(FIRST + number * DAY for number in range(4))
 # A setting of each kind, and what must be made anew for it: all nights, or none.
 SETTINGS = {
     "[cleaning]\nguard_after_s = 31.0\n": ("cleaning.guard_after_s", Work.READ),
-    "[windows]\ntraining_share = 0.7\n": ("windows.training_share", Work.READ),
+    '[windows]\nsplit = "interleaved"\n': ("windows.split", Work.READ),
     "[smoothing]\nwindow_s = 10.0\n": ("smoothing.window_s", Work.READ),
     "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),
     "[trend]\nbaseline_nights = 40\n": ("trend.baseline_nights", None),
