@@ -204,14 +204,21 @@ def is_stamp(cell: str) -> bool:
 
 
 def _shapes(stamp: str) -> list[str]:
-    """Formats that a stamp may have by its marks."""
+    """Return formats that a stamp may have by its marks."""
     match = _STAMP.fullmatch(stamp)
     if match is None:
         return []
     behind = re.sub(r"Z|[+-].*", "%z", match["zone"] or "")
-    has_fraction = bool(re.search(r"[:.]\d\d[:.]\d\d[.,]", match["clock"]))
-    clocks = [form for form in _CLOCKS if ("%f" in form) == has_fraction]
-    return [a + match["between"] + b + behind for a, b in product(_DATES, clocks)]
+    dates, clocks = (
+        [form for form in forms if _marks(form) == _marks(match[part])]
+        for part, forms in (("date", _DATES), ("clock", _CLOCKS))
+    )
+    return [date + match["between"] + clock + behind for date, clock in product(dates, clocks)]
+
+
+def _marks(text: str) -> str:
+    """Return what stands between numbers and words of a stamp or its format."""
+    return re.sub(r"%\w|[\w ]", "", text)
 
 
 def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
