@@ -1,9 +1,11 @@
-"""What a night's samples say beside its fit: of its errors, and of the drain flow's lag."""
+"""What a night's samples say beside its fit: of its errors, cold oil, and the drain flow's lag."""
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from collections.abc import Iterator, Mapping
+from statistics import mean, stdev
 
 import numpy as np
 
@@ -19,6 +21,12 @@ INPUTS = ("pressure_difference", "oil_temperature", "speed")
 
 WHITENESS, INDEPENDENCE = "whiteness", "independence"
 NO_INPUT = "none"
+# A motor that rested so long starts cold, and is warm after as long: the first of these after which
+# there are pieces enough. Errors of the time between differ from later ones by this share of the
+# flow, and by their scatter over pieces.
+MINUTE = dt.timedelta(minutes=1)
+WARM_UPS, PIECE = (30 * MINUTE, 20 * MINUTE, 10 * MINUTE), 10 * MINUTE
+COLD_SHARE, COLD_SCATTERS, FEWEST_PIECES = 0.03, 3.0, 3
 
 
 def night_residuals(
@@ -99,3 +107,37 @@ def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
     )
     found = (None, None) if lag is None else (lag.seconds, 100.0 * lag.gain)
     return dict(zip(LAG_COLUMNS, found, strict=True))
+
+
+def explain_warm_up(predictions: list[Row]) -> Iterator[str]:
+    """Yield that errors go with the time since the motor's last cold start, where they do."""
+    rows = sorted(predictions, key=lambda row: row["time"])
+    for length in WARM_UPS:
+        cold, means = _cold_and_warm(rows, length)
+        if cold and len(means) >= FEWEST_PIECES:
+            break
+    else:
+        return
+    flow = mean(row["measured_l_per_min"] for row in rows)
+    apart = mean(cold) - mean(means)
+    if abs(apart) > max(COLD_SHARE * flow, COLD_SCATTERS * stdev(means)):
+        yield (
+            f"errors go with the time since the start: {100 * apart / flow:+.0f} % of the flow in "
+            f"the first {length // MINUTE} minutes against later; cleaning.warm_up_minutes leaves "
+            "out the minutes in which the oil in the case is not yet the oil at the sensor"
+        )
+
+
+def _cold_and_warm(rows: list[Row], length: dt.timedelta) -> tuple[list[float], list[float]]:
+    """Return errors within a time of starts from a rest as long, and means of later pieces."""
+    cold: list[float] = []
+    warm: dict[tuple[dt.datetime, int], list[float]] = {}
+    last = start = dt.datetime.min.replace(tzinfo=dt.UTC)
+    for row in rows:
+        if row["time"] - last >= length:
+            start = row["time"]
+        last = row["time"]
+        error = row["measured_l_per_min"] - row["predicted_l_per_min"]
+        piece = start, (last - start) // PIECE
+        (cold if last - start < length else warm.setdefault(piece, [])).append(error)
+    return cold, [mean(errors) for errors in warm.values()]

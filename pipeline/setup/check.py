@@ -40,6 +40,7 @@ from pipeline.night.column_change import (
     usual_readings,
 )
 from pipeline.night.fit_night import clean_channels, fit_night
+from pipeline.night.residuals import explain_warm_up
 from pipeline.night.sample_rows import strange_flow
 from pipeline.night.time_base import Insufficient, Samples
 from pipeline.schema.fits import (
@@ -237,6 +238,7 @@ class _NightLook:
     samples: Samples | None = None  # that cleaning kept; None for none
     extremes: Mapping[str, str] = field(default_factory=dict)  # as `repeated_extremes`
     is_changed: bool = False  # whether it is refused for columns or units other than before
+    cold: tuple[str, ...] = ()  # what its errors say of cold starts
 
 
 def _every_look(
@@ -291,6 +293,9 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
     extremes, kept = repeated_extremes(spec, channels), list[Samples]()
     outcome = fit_night(spec, night(label, spec.settings.nights), channels, kept.append)
     logs.let_go_until(label - DAY)
+    mode = outcome.rows["fits"][0].get("flushing_mode")
+    points = outcome.rows.get("predictions", [])
+    predictions = [point for point in points if point["flushing_mode"] == mode]
     return _NightLook(
         label,
         outcome.status,
@@ -299,6 +304,7 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         {name: outcome.rows["fits"][0].get(name) for name in LAG_COLUMNS},
         next((samples for samples in kept if len(samples.index)), None),
         extremes,
+        cold=tuple(explain_warm_up(predictions)),
     )
 
 
@@ -402,6 +408,7 @@ def _look_into(
         # What else is odd follows from it.
         return checks, [*changes, *faults], []
     notes = [operation(spec, label, samples), *strange_flow(samples)] if samples else []
+    notes += [f"in the night {label}, {words}" for words in look.cold] if look else []
     if look and not samples:
         notes = [f"no sample of the night {label} is kept"]
     for name, channel in spec.file.channels.items():

@@ -718,6 +718,11 @@ def test_a_warm_up_is_seen_and_left_out_on_demand(tmp_path: Path) -> None:
     words = "errors go with the time since the start: -"
     assert words in fleet.run("explain", "cold", fleet.label(2)).out
     assert words not in fleet.run("explain", "warm", fleet.label(2)).out
+    checked = {motor["motor_id"]: motor["notes"] for motor in fleet.run("check", "--json").lines}
+    assert {motor: words in "".join(notes) for motor, notes in checked.items()} == {
+        "cold": True,
+        "warm": False,
+    }
     before = [row["training_fit_percent"] for row in fleet.nights("cold")]
     fleet.append("motors/cold.toml", "[override.cleaning]\nwarm_up_minutes = 40")
     assert fleet.run("fit-fleet").code == 0

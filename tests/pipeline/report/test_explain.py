@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.report.explain import explain, explain_warm_up
+from pipeline.night.residuals import explain_warm_up
+from pipeline.report.explain import explain
 from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table, rows_with
 from tests.pipeline.run.demo_runs import run
