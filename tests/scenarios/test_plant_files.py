@@ -650,6 +650,17 @@ def test_samples_of_an_import_have_the_time_of_their_publishing(plant: Plant) ->
 # Another unit from one night on
 
 
+@covers("check --json")
+def test_a_unit_that_changes_within_a_file_is_a_fault_with_its_night(plant: Plant) -> None:
+    nights = [wide(1), wide(2), wide(3, edit=factor("leakage_flow", 60.0))]
+    head, _, _ = nights[0].partition("\n")
+    rows = (night.partition("\n")[2] for night in nights)
+    assert plant.init({"w.csv": f"{head}\n{''.join(rows)}"}).code == 0
+    (motor,) = plant.check()
+    (fault,) = motor["faults"]
+    assert fault.startswith(f"columns_changed: from the night {motor['last']} (w.csv) on: unit")
+
+
 @covers("ack --night --note", "ack --night --fit --note", "fit-fleet", "check --full --json")
 def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
     """The drain flow of the fourth night of five is in l/h where the others are in l/min."""
