@@ -298,7 +298,7 @@ def _identified(
     """Return the likeliest group's name, or that it cannot be identified, and its probability."""
     if by_name.get(TEMPERATURE_EFFECT, 0.0) >= choices.NAMED:
         return TEMPERATURE_EFFECT, by_name[TEMPERATURE_EFFECT]
-    group, probability = max(groups.items(), key=lambda item: item[1])
+    group, probability = max(groups.items(), key=lambda entry: entry[1])
     if probability < choices.NAMED or SEVERAL in group:
         return NOT_IDENTIFIED, probability
     if BACK in group and by_name[BACK] >= choices.MOSTLY * probability:

@@ -155,7 +155,7 @@ def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
     from pipeline.units import canonical_unit
 
     unit = canonical_unit(channel.channel).replace("degC", "°C")
-    largest = sorted(channel.refused_by.items(), key=lambda item: -item[1])
+    largest = sorted(channel.refused_by.items(), key=lambda entry: -entry[1])
     rules = (f"{name} {100 * share:.3g} %" for name, share in largest if share > WORTH_TELLING)
     return (
         channel.channel,

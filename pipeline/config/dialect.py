@@ -26,14 +26,14 @@ def reader_entry(name: str) -> EntryPoint:
     """
     if name in BUILT_IN:
         return EntryPoint(name, BUILT_IN[name], GROUP)
-    found = [entry for entry in installed() if entry.name == name]
-    if not found:
+    entries = [entry for entry in installed() if entry.name == name]
+    if not entries:
         names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
         raise ValueError(f"expected one of the formats that are built in or installed: {names}")
-    if len(found) > 1:
-        packages = " and ".join(sorted(map(reader_version, found)))
+    if len(entries) > 1:
+        packages = " and ".join(sorted(map(reader_version, entries)))
         raise ValueError(f"expected a format of one package: {packages} both have a reader of it")
-    return found[0]
+    return entries[0]
 
 
 def reader_version(entry: EntryPoint) -> str:

@@ -142,8 +142,8 @@ def settings_of(spec: MotorSpec) -> dict[str, Any]:
         "trends": shaping(spec, Stage.TRENDS),
         **({} if spec.drain_delay_s is None else {DRAIN_DELAY: spec.drain_delay_s}),
     }
-    found: dict[str, Any] = json.loads(json.dumps(document, default=str))
-    return found
+    plain: dict[str, Any] = json.loads(json.dumps(document, default=str))
+    return plain
 
 
 def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool = False) -> str:
@@ -166,7 +166,7 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
         return f"another version of the program ({', '.join(steps)})"
     parts = ("nights", "trends") if trends else ("nights",)
     old, new = (
-        dict(item for part in parts for item in _flat("", settings.get(part, {})))
+        dict(entry for part in parts for entry in _flat("", settings.get(part, {})))
         for settings in (before, now)
     )
     names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))

@@ -89,7 +89,7 @@ def load_fleet(path: Path) -> Fleet:
         own = {f"motors/{name}.toml": document for name, document in motors.own.items()}
         raise ConfigError(_at_their_place(faults, own, defaults, path.name))
     output, textfile = places["output"], fleet.metrics.textfile
-    found = Fleet(
+    loaded = Fleet(
         name=fleet.name,
         motors=tuple(specs),
         execution=fleet.execution,
@@ -102,9 +102,9 @@ def load_fleet(path: Path) -> Fleet:
         formerly=fleet.formerly,
         is_live=fleet.live,
     )
-    if (expected := overlap(found)) is not None:
+    if (expected := overlap(loaded)) is not None:
         raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])
-    return found
+    return loaded
 
 
 def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple[str, Path]]:
@@ -133,10 +133,10 @@ def _settings(
 ) -> Settings | None:
     """Return the fleet's settings with a motor's own; None where they have a fault."""
     merged = _merged(override if isinstance(override, dict) else {}, shared)
-    found = validated(_Override, {"override": merged}, file, faults)
-    if found is None:
+    checked = validated(_Override, {"override": merged}, file, faults)
+    if checked is None:
         return None
-    settings = found.override
+    settings = checked.override
     model = settings.model
     if model.two_sided is None:
         is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
@@ -213,19 +213,19 @@ def _read_folder(
     folder: Path | None, model: type[Model], faults: list[Fault], **context: Document
 ) -> _Folder[Model]:
     """Return all TOML files of a folder; none where it cannot be read, which is reported."""
-    found: _Folder[Model] = _Folder({}, {}, {})
+    files: _Folder[Model] = _Folder({}, {}, {})
     if folder is not None and not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
     for path in sorted(folder.glob("*.toml")) if folder else ():
         file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
         document = read_toml(path, file, faults)
-        found.own[name] = document or {}
-        found.documents[name] = completed(document or {}, context.get("defaults", {}), name)
+        files.own[name] = document or {}
+        files.documents[name] = completed(document or {}, context.get("defaults", {}), name)
         if document is not None and (
-            content := validated(model, found.documents[name], file, faults, stem=name, **context)
+            content := validated(model, files.documents[name], file, faults, stem=name, **context)
         ):
-            found.parsed[name] = content
-    return found
+            files.parsed[name] = content
+    return files
 
 
 def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
@@ -287,12 +287,12 @@ def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
 
 
 def _merged(own: Document, defaults: Document) -> dict[str, Any]:
-    found = dict(defaults)
+    merged = dict(defaults)
     for key, value in own.items():
         below = defaults.get(key)
         is_part = isinstance(value, Mapping) and isinstance(below, Mapping) and not _is_whole(value)
-        found[key] = _merged(value, below or {}) if is_part else value
-    return found
+        merged[key] = _merged(value, below or {}) if is_part else value
+    return merged
 
 
 def _is_whole(value: object) -> bool:

@@ -237,20 +237,20 @@ class Section(BaseModel):
 
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """Return all settings of a stage, by key; of tables, the keys that are of it."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for key, is_of_it in self.keys_of(stage).items():
             value = getattr(self, key)
             if isinstance(value, Section):
                 part = value.shaping(stage)
-                found |= {key: part} if part else {}
+                values |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):
                 parts = [section.shaping(stage) for section in value]
-                found |= {key: parts} if any(parts) else {}
+                values |= {key: parts} if any(parts) else {}
             elif isinstance(value, dict) and isinstance(next(iter(value.values()), None), Section):
-                found[key] = {name: section.shaping(stage) for name, section in value.items()}
+                values[key] = {name: section.shaping(stage) for name, section in value.items()}
             elif is_of_it:
-                found[key] = value
-        return found
+                values[key] = value
+        return values
 
 
 def _holds_tables(kind: Any) -> bool:

@@ -270,8 +270,8 @@ def _opened(
             entry = reader_entry(logs.format)
         except ValueError as error:
             raise LogError("log_reader", path, f"format {logs.format!r}: {error}") from error
-        logged = (item for item in channels.items() if item[1].constant is None)
-        in_order = dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+        logged = (entry for entry in channels.items() if entry[1].constant is None)
+        in_order = dict(sorted(logged, key=lambda entry: CHANNELS.index(entry[0])))
         with _its_faults(path, entry):
             reader = entry.load()
             if not isinstance(reader, Reader):

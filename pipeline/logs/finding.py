@@ -59,30 +59,30 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
     may not be entered stands among the files: as a log that cannot be read.
     """
     root = spec.log_root
-    found: set[Path] = set()
+    paths: set[Path] = set()
     refused: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
         named, is_glob = root / pattern, bool(GLOB_CHARACTERS & set(pattern))
         if pattern in silent:
-            found |= set() if is_glob else {named}
+            paths |= set() if is_glob else {named}
             continue
         try:
             with reading(pattern, is_asked=True):
                 # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
                 if named.exists():
-                    found.add(named)
+                    paths.add(named)
                 elif is_glob:
                     for path, is_file in _matching(root, pattern):
                         still_alive()
                         if is_file or not _is_folder(path, root, silent):
-                            found.add(path)
+                            paths.add(path)
                 else:
                     absent.append(pattern)
         except PermissionError:
             refused.add(named)
     names: dict[str, Path] = {}
-    for path in sorted(of_newest_version(found, root) | refused):
+    for path in sorted(of_newest_version(paths, root) | refused):
         name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
         while name in names:  # Another file's name is what this one's is shown as.
             name += "'"
@@ -114,8 +114,8 @@ def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
 @lru_cache(maxsize=64)
 def _names_as_of(folder: Path, _: int) -> tuple[list[str], set[str]]:
     """Names in a folder that was last changed at a time, sorted, and those of files among them."""
-    with os.scandir(folder) as found:
-        entries = list(found)
+    with os.scandir(folder) as listing:
+        entries = list(listing)
     files = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
     return sorted(entry.name for entry in entries), files
 
@@ -313,10 +313,10 @@ class StoredLogs(FolderLogs):
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
     def _seen(self, name: str) -> FileRecord:
-        found = self._found[name]
-        tag = int.from_bytes(sha256(found.tag.encode()).digest()[:6], "big")
-        modified_ns = round(found.modified.timestamp()) * 1_000_000_000
-        return FileRecord(name, found.size, modified_ns, None, inode=tag)
+        stored = self._found[name]
+        tag = int.from_bytes(sha256(stored.tag.encode()).digest()[:6], "big")
+        modified_ns = round(stored.modified.timestamp()) * 1_000_000_000
+        return FileRecord(name, stored.size, modified_ns, None, inode=tag)
 
     def path(self, name: str) -> Path:
         """As `FolderLogs`."""
@@ -326,13 +326,13 @@ class StoredLogs(FolderLogs):
         folder = self._folder / sha256(name.encode()).hexdigest()[:16]
         # Readers go by a file's ending, and messages by its name.
         path = folder / Path(name).name
-        found = self._found.get(name)
-        if found is None:
+        stored = self._found.get(name)
+        if stored is None:
             return path
         try:
             folder.mkdir(exist_ok=True)
             with reading(name), path.open("wb") as stream:
-                self._store.fetch(found, stream)
+                self._store.fetch(stored, stream)
         except ObjectChangedError as error:
             how = "it was replaced or removed meanwhile; the next run looks again"
             raise LogError("log_growing", path, how) from error
@@ -358,7 +358,7 @@ def _matching_objects(
 
     Only the folder that a pattern names before its first wildcard is listed.
     """
-    found: dict[str, StoredObject] = {}
+    objects: dict[str, StoredObject] = {}
     absent: list[str] = []
     unmatched: list[str] = []
     for pattern in patterns:
@@ -369,10 +369,10 @@ def _matching_objects(
             matches = [pattern]
         else:
             matches = [key for key in here if _fits(key.split("/"), parts)]
-        found |= {legible(key): here[key] for key in matches}
+        objects |= {legible(key): here[key] for key in matches}
         if not matches:
             (unmatched if GLOB_CHARACTERS & set(pattern) else absent).append(pattern)
-    return found, absent, unmatched
+    return objects, absent, unmatched
 
 
 def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:

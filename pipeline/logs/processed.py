@@ -185,10 +185,10 @@ def write_change(state: StateDatabase, motor_id: str, change: ProcessedChange) -
             state.write_all(f"DELETE FROM {table} WHERE (motor_id, {columns[0]}) = (?, ?)", gone)
             places = ", ".join("?" * (1 + len(columns)))
             insert = f"INSERT OR REPLACE INTO {table} (motor_id, {', '.join(columns)})"
-            kept = {str(name): record for name, record in changed.items() if record is not None}
+            present = {str(name): record for name, record in changed.items() if record is not None}
             rows = (
                 (motor_id, key, *(_stored(getattr(record, name)) for name in columns[1:]))
-                for key, record in kept.items()
+                for key, record in present.items()
             )
             state.write_all(f"{insert} VALUES ({places})", rows)
 
@@ -251,15 +251,15 @@ def read_stays(
     state: StateDatabase, motor_ids: Collection[str]
 ) -> tuple[dict[str, dict[dt.date, str]], Counter[str]]:
     """Return why nights stay as published, by motor; and how many others have no log any more."""
-    found: dict[str, dict[dt.date, str]] = {motor_id: {} for motor_id in motor_ids}
+    waiting: dict[str, dict[dt.date, str]] = {motor_id: {} for motor_id in motor_ids}
     gone = Counter[str]()
     rows = state.rows("SELECT motor_id, night, stays FROM nights WHERE stays != '' ORDER BY night")
     for motor_id, night, why in rows:
         if why == GONE:
             gone[motor_id] += 1
         else:
-            found.setdefault(motor_id, {})[dt.date.fromisoformat(night)] = why
-    return found, gone
+            waiting.setdefault(motor_id, {})[dt.date.fromisoformat(night)] = why
+    return waiting, gone
 
 
 def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:

@@ -70,8 +70,8 @@ class Change(NamedTuple):
 
 def readings_of(row: Mapping[str, Any]) -> dict[str, float]:
     """Return means of the channels in a row of `nights`; empty where one is not known."""
-    found = {name: row[column] for name, column in COLUMNS.items() if row.get(column) is not None}
-    return found if found.keys() == COLUMNS.keys() else {}
+    means = {name: row[column] for name, column in COLUMNS.items() if row.get(column) is not None}
+    return means if means.keys() == COLUMNS.keys() else {}
 
 
 def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
@@ -196,8 +196,8 @@ def _off(
     one by two signs.
     """
     right = _with_reading(name, reading, now)
-    before, found, mended = (_relation(model_flow, means) for means in (usual, now, right))
-    off, left = _factor(found, before), _factor(mended, before)
+    before, as_read, mended = (_relation(model_flow, means) for means in (usual, now, right))
+    off, left = _factor(as_read, before), _factor(mended, before)
     if name != FLOW:
         left_of_range = _beyond(name, reading, usual)
         is_exact, is_related = left_of_range < USUAL, off > NEAR and left < USUAL

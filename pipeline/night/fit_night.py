@@ -127,10 +127,10 @@ def unfitted(
     seconds: Mapping[str, float] | None = None,
 ) -> NightOutcome:
     """The outcome of a night without a fit: one row that says why, and what was counted so far."""
-    kept = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
-    kept["nights"] = [night_row(spec, night, data or {}, status, reason, code)]
-    kept["fits"] = [unfitted_row(spec, night)]
-    return NightOutcome(night, status, reason, code, kept, seconds or {})
+    unfitted = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
+    unfitted["nights"] = [night_row(spec, night, data or {}, status, reason, code)]
+    unfitted["fits"] = [unfitted_row(spec, night)]
+    return NightOutcome(night, status, reason, code, unfitted, seconds or {})
 
 
 @contextmanager
@@ -200,9 +200,9 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...]) -> None:
         )
 
 
-def _shares(found: Mapping[str, Quality]) -> str:
+def _shares(quality: Mapping[str, Quality]) -> str:
     """Return refused shares of what refused any."""
-    shares = {name: 100 * q.n_refused / q.n_samples for name, q in found.items() if q.n_refused}
+    shares = {name: 100 * q.n_refused / q.n_samples for name, q in quality.items() if q.n_refused}
     return "; ".join(f"{name} {share:.0f} %" for name, share in shares.items())
 
 

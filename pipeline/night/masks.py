@@ -59,11 +59,11 @@ def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.in
     >>> steps_where(lambda steps_us: steps_us > 10, np.array([0, 10, 40, 50, 70]))
     array([1, 3])
     """
-    found = [
+    borders = [
         begin + np.flatnonzero(holds(np.diff(time_us[begin : begin + CACHED + 1])))
         for begin in range(0, len(time_us) - 1, CACHED)
     ]
-    return np.concatenate(found) if found else NO_BORDERS
+    return np.concatenate(borders) if borders else NO_BORDERS
 
 
 def missing_sample(
@@ -165,14 +165,14 @@ def spike(
 
 def _stands_out(windows: Values, rows: NDArray[np.intp], threshold: float, floor: float) -> Mask:
     """Return some of the windows whose middle value is too far from their median."""
-    found, half = np.empty(len(rows), dtype=np.bool_), windows.shape[1] // 2
+    apart, half = np.empty(len(rows), dtype=np.bool_), windows.shape[1] // 2
     for chunk in range(0, len(rows), WINDOWS):
         part = windows[rows[chunk : chunk + WINDOWS]]
         distance = np.abs(part - np.partition(part, half, axis=1)[:, half, None])
         deviation = np.partition(distance, half, axis=1)[:, half]
         limit = np.maximum(floor, threshold * MAD_TO_SD * deviation)
-        found[chunk : chunk + WINDOWS] = distance[:, half] > limit
-    return found
+        apart[chunk : chunk + WINDOWS] = distance[:, half] > limit
+    return apart
 
 
 def _far_from_median(value: Values, half: int, floor: float) -> Mask:

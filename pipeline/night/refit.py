@@ -110,7 +110,7 @@ def _budget(
     by_source: dict[str, dict[str, float]] = {}
     for row in known:
         by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
-    found = effects_elsewhere(
+    effects = effects_elsewhere(
         motor,
         tolerances(spec, night),
         np.array([coefficients[name] for name in names]),
@@ -127,7 +127,7 @@ def _budget(
         at,
     )
     return [
-        row | {"effect": found.get(row["source"], row["effect"])}
+        row | {"effect": effects.get(row["source"], row["effect"])}
         if row["indicator"] == REFERENCE
         else row
         for row in known

@@ -105,8 +105,8 @@ def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
     lag = transport_lag(
         samples.leakage_l_per_min, drivers, samples.index, samples.period_us / 1e6, samples.delay_s
     )
-    found = (None, None) if lag is None else (lag.seconds, 100.0 * lag.gain)
-    return dict(zip(LAG_COLUMNS, found, strict=True))
+    figures = (None, None) if lag is None else (lag.seconds, 100.0 * lag.gain)
+    return dict(zip(LAG_COLUMNS, figures, strict=True))
 
 
 def explain_warm_up(predictions: list[Row]) -> Iterator[str]:

@@ -96,10 +96,10 @@ Columns = dict[str, Sequence[Any]]
 PREDICTION_POINTS = 720
 
 
-def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
+def quality_rows(motor_id: str, night: dt.date, qualities: Sequence[Quality]) -> list[Row]:
     """Return rows of `quality`: every rule that was applied, those that refused nothing too."""
     own = {"motor_id": motor_id, "night": night}
-    return [own | rule._asdict() for rule in found]
+    return [own | rule._asdict() for rule in qualities]
 
 
 def block_rows(

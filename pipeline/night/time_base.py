@@ -105,10 +105,10 @@ class Samples:
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
-        found: dict[str, Any] = {name: getattr(self, name)[chosen] for name in OF_SAMPLES}
+        samples: dict[str, Any] = {name: getattr(self, name)[chosen] for name in OF_SAMPLES}
         for name in ("low_pressures_bar", "viscosities"):
-            found[name] = {of: value[chosen] for of, value in getattr(self, name).items()}
-        return replace(self, **found)
+            samples[name] = {of: value[chosen] for of, value in getattr(self, name).items()}
+        return replace(self, **samples)
 
     @property
     def kept_share(self) -> float:
@@ -181,25 +181,25 @@ def bring_together(
         settings.model.case_pressure_bar,
     )
     # By their places, which takes a third of the time that a mask does.
-    kept = np.flatnonzero(~refused)
-    pressure, temperature, speed, leakage = (values[name][kept] for name in INPUTS)
+    credible = np.flatnonzero(~refused)
+    pressure, temperature, speed, leakage = (values[name][credible] for name in INPUTS)
     samples = Samples(
-        index=together.n_before + kept,
-        time_us=grid_us[kept],
+        index=together.n_before + credible,
+        time_us=grid_us[credible],
         pressure_difference_bar=pressure,
         oil_temperature_c=temperature,
         speed_rpm=speed,
         leakage_l_per_min=leakage,
-        low_pressures_bar={name: values[name][kept] for name in low_pressures},
+        low_pressures_bar={name: values[name][credible] for name in low_pressures},
         period_us=period_us,
         n_running=len(grid_us) - int(np.count_nonzero(at_rest)) - n_off,
-        delay_s=float(delay_s[kept].mean()) if len(kept) else 0.0,
+        delay_s=float(delay_s[credible].mean()) if len(credible) else 0.0,
         n_logged=int(n_logged),
         n_turning=int(n_logged - np.count_nonzero(masks["standstill"])),
         pressure_zero=pressure_zero,
         flow_zero=flow_zero,
         viscosities={
-            name: on_grid(channel, grid_us, period_us).value[kept]
+            name: on_grid(channel, grid_us, period_us).value[credible]
             for name, channel in of_oil.items()
         },
     )
@@ -416,10 +416,10 @@ def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     silent = np.bincount(cell[within], minlength=n) == 0
     chosen = within & ~channel.refused
     cell = cell[chosen]
-    kept = np.bincount(cell, minlength=n)
+    counts = np.bincount(cell, minlength=n)
     total = np.bincount(cell, weights=channel.value[chosen], minlength=n)
     assert channel.period_us is not None
-    present = kept >= CELL_SHARE * period_us / channel.period_us
+    present = counts >= CELL_SHARE * period_us / channel.period_us
     result = np.full(n, np.nan)
-    result[present] = total[present] / kept[present]
+    result[present] = total[present] / counts[present]
     return OnGrid(result, present, silent)

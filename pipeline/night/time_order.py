@@ -43,8 +43,8 @@ def order_of(time_us: Times) -> Order:
 
     Examples
     --------
-    >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]))
-    >>> found.rows.tolist(), found.late.tolist(), found.repeated.tolist()
+    >>> order = order_of(np.array([0, 10, 20, 40, 50, 30, 50]))
+    >>> order.rows.tolist(), order.late.tolist(), order.repeated.tolist()
     ([0, 1, 2, 5, 3, 4], [5], [6])
     """
     late = np.empty(0, dtype=np.intp)

@@ -281,7 +281,7 @@ class MotorRun(NightPlan):
         dated, path_of = self.logs.in_time(), self.logs.path
         findings = [*self.task.first_look(self.spec, label, dated, path_of, channels)]
         outcome = fit_night(
-            self.fitted_spec, here, channels, lambda kept: findings.extend(strange_flow(kept))
+            self.fitted_spec, here, channels, lambda samples: findings.extend(strange_flow(samples))
         )
         self.findings = tuple(findings)
         return self._unless_changed(outcome)

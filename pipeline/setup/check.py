@@ -290,8 +290,8 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         return _NightLook(label, FAILED, broken[0].message or "")
     if not channels:
         return _NightLook(label, NO_NEW_DATA, "no log covers this night")
-    extremes, kept = repeated_extremes(spec, channels), list[Samples]()
-    outcome = fit_night(spec, night(label, spec.settings.nights), channels, kept.append)
+    extremes, fitted = repeated_extremes(spec, channels), list[Samples]()
+    outcome = fit_night(spec, night(label, spec.settings.nights), channels, fitted.append)
     logs.let_go_until(label - DAY)
     mode = outcome.rows["fits"][0].get("flushing_mode")
     points = outcome.rows.get("predictions", [])
@@ -302,7 +302,7 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         outcome.reason or "",
         outcome.rows["nights"][0],
         {name: outcome.rows["fits"][0].get(name) for name in LAG_COLUMNS},
-        next((samples for samples in kept if len(samples.index)), None),
+        next((samples for samples in fitted if len(samples.index)), None),
         extremes,
         cold=tuple(explain_warm_up(predictions)),
     )

@@ -106,10 +106,10 @@ def _csv(path: Path) -> Table:
     tables = {mark: _taken_apart(lines, mark) for mark in _SEPARATORS}
     separator = max(tables, key=lambda mark: tables[mark][0])
     (_, _, width), lined, first = tables[separator]
-    found = _header(lined[:first], width)
-    if found is None:
+    head = _header(lined[:first], width)
+    if head is None:
         raise LogError("log_not_csv", path, _why_no_table(lines, separator, width))
-    header, units = found
+    header, units = head
     names = lined[header]
     unit_rows = sum(any(row) for row in lined[header + 1 : first])
     samples = [row for row in lined[first:] if len(row) == width and row != names]

@@ -212,7 +212,7 @@ def from_parquet(
             groups = [
                 place
                 for place in range(file.num_row_groups)
-                if all(_may_hold(file, place, *item) for item in (wanted or {}).items())
+                if all(_may_hold(file, place, *entry) for entry in (wanted or {}).items())
             ]
             rows = pl.from_arrow(file.read_row_groups(groups, columns=there, use_threads=False))
         assert isinstance(rows, pl.DataFrame)
