@@ -41,6 +41,8 @@ FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
 # Oil does not change by so much between neighbouring samples that are so near; where the samples
 # around them do not differ as much it is a single spike, which is refused.
 JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
+# Nor does it change by so much in so large a share of its samples.
+RESTLESS_C, RESTLESS_SHARE = 2.0, 0.02
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.
 RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
@@ -129,17 +131,21 @@ def temperature_jumps(log: RawChannel) -> Iterator[str]:
     rows = np.flatnonzero((log.value >= low) & (log.value <= high))
     time_us, value = log.time_us[rows], log.value[rows]
     is_near = np.abs(np.diff(time_us)) <= NEIGHBOURS_S * SECOND_US
-    is_jump = (np.abs(np.diff(value)) >= JUMP_C) & is_near
+    steps = np.where(is_near, np.abs(np.diff(value)), 0.0)
+    is_jump, least = steps >= JUMP_C, JUMP_C
     is_jump[1:-1] &= np.abs(value[3:] - value[:-3]) >= JUMP_C
-    places = np.flatnonzero(is_jump)
-    if len(places) >= FEWEST_JUMPS:
-        first = places[0]
-        yield (
-            f"oil_temperature jumps {len(places)} times by {JUMP_C:g} °C and more between "
-            f"neighbours, such as {value[first]:g} to {value[first + 1]:g} at "
-            f"{utc(time_us[first]):%Y-%m-%d %H:%M:%S} UTC, which no oil does: are columns swapped, "
-            "is the sensor loose, or a column of quality not used?"
-        )
+    if np.count_nonzero(is_jump) < FEWEST_JUMPS:
+        is_jump, least = steps > RESTLESS_C, RESTLESS_C
+        usual = max(RESTLESS_SHARE * np.count_nonzero(is_near), FEWEST_JUMPS)
+        if np.count_nonzero(is_jump) <= usual:
+            return
+    first = np.flatnonzero(is_jump)[0]
+    yield (
+        f"oil_temperature jumps {np.count_nonzero(is_jump)} times by {least:g} °C and more between "
+        f"neighbours, such as {value[first]:g} to {value[first + 1]:g} at "
+        f"{utc(time_us[first]):%Y-%m-%d %H:%M:%S} UTC, which no oil does: are columns swapped, "
+        "is the sensor loose, or a column of quality not used?"
+    )
 
 
 def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> dict[str, str]:

@@ -110,15 +110,16 @@ def test_check_names_logs_of_no_motor_and_columns_that_look_swapped(plant: Scena
     plant.change("motors/broken.toml", text, swapped.replace('"?"', '"oil_temperature"'))
     done = plant.run("check")
     assert "stray.csv" in done.out + done.err
-    words = "oil_temperature jumps as no oil does: are columns swapped?"
+    words = "oil_temperature jumps"
     assert words in done.out
+    assert "are columns swapped" in done.out
     # The first run says so as well, of what it reads; the next ones do not.
     options = "--output", plant.folder / "new", "--motors", "broken worn", "--until", "2026-01-04"
     for is_first in (True, False):
         done = plant.run("fit-fleet", *options)
         assert "stray.csv" in done.err
-        findings = [line for line in done.err.splitlines() if line.endswith(words)]
-        assert findings == [f"broken: {words}"] * is_first
+        findings = [line for line in done.err.splitlines() if words in line]
+        assert [line.split()[0] for line in findings] == ["broken:"] * is_first
 
 
 def a_table(plant: ScenarioFleet) -> Path:

@@ -60,8 +60,9 @@ def read(path: Path, kind: str, cells: Cells, source: Source) -> RawLog:
 def test_rows_that_are_blank_for_others_are_none_of_a_channel(
     tmp_path: Path, kind: str, cells: Cells, seconds: dict[str, list[int]]
 ) -> None:
-    if kind == "parquet" and "ERR" in cells["dp"]:
-        pytest.skip("numbers alone")
+    if kind == "parquet":  # which has numbers alone
+        of_numbers = cells.items()
+        cells = {name: [None if cell == "ERR" else cell for cell in of] for name, of in of_numbers}
     channels = {name: own for name, own in CHANNELS.items() if own.source in cells}
     log = read(tmp_path / "log", kind, cells, Source.of(kind, channels))
     for name, channel in log.channels.items():
