@@ -81,8 +81,9 @@ format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# Three at a time on two cores: a quarter of their time is waiting for processes and limits.
 test: $(DEV)   ## the tests of every change
-	$(BIN)/pytest -n 2 -m "not full"
+	$(BIN)/pytest -n 3 -m "not full"
 
 test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a time)
 	$(BIN)/pytest -n 2 --dist worksteal
