@@ -59,7 +59,9 @@ def texts_for_people() -> Iterator[tuple[str, str]]:
     """Pages, templates, descriptions of columns and messages, with their places."""
     package = ROOT / "pipeline"
     written = [ROOT / "README.md", *DOCS.glob("*.md"), package / "schema" / "columns.csv"]
-    for path in (*written, *(package / "report").glob("*/*.*")):
+    for folder in ("assets", "templates"):
+        written += (package / "report" / folder).iterdir()
+    for path in written:
         yield from (
             (f"{path.name}:{n}", line)
             for n, line in enumerate(path.read_text("utf-8").splitlines(), 1)
