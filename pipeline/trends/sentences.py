@@ -246,18 +246,19 @@ def _changed(night: NightState, change: Change) -> str:
     risen = "risen" if change.is_rise else "fallen"
     headline = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
-    size = _newest_night(night)
+    size = f"{_newest_night(night)}, {_since(change)}"
     verdict = night.verdict
     assert verdict is not None
     newest = verdict.newest_night
     is_shown = newest.lower > 0.0 if change.is_rise else newest.upper < 0.0
     if not is_shown:
         # What one night does not show by itself, those since the change do.
-        size = f"{_quantity(change)} {relative_change(verdict.present)} since then, {size}"
+        mean = f"{_quantity(change)} {relative_change(verdict.present)} on average"
+        size = f"{mean} {_since(change)}, {_newest_night(night)}"
     still = f"; still {'rising' if change.is_rise else 'falling'}"
     still = still if change.continues and is_shown else ""
     parts = (
-        *(f"{headline}: {size}, {_since(change)}{still}", gap),
+        *(f"{headline}: {size}{still}", gap),
         *(_beside_circuit(night, change), _others(change)),
     )
     return "; ".join(part for part in parts if part)

@@ -121,8 +121,8 @@ def words_are_the_columns(row: Row, rows: Sequence[Row]) -> bool:
     sentence, newest = row["sentence"], None
     for one in rows:
         newest = one if one["leakage_change_percent"] is not None else newest
-    pairs = [(rf"(?:leakage|flow) {PERCENT} on ", newest, "leakage_change")]
-    pairs += [(rf"(?:leakage|flow) {PERCENT} since then", row, "mean_change")]
+    pairs = [(rf"(?:leakage|flow) {PERCENT} on \d", newest, "leakage_change")]
+    pairs += [(rf"(?:leakage|flow) {PERCENT} on average", row, "mean_change")]
     for pattern, source, name in pairs:
         found = re.search(pattern, sentence)
         if found and (source is None or not _alike(found.groups(), source, name)):
