@@ -34,7 +34,7 @@ def _demo(shared_folder: Path) -> ScenarioFleet:
         for words in (
             ("demo", ".", *extent, "--last-night", FIRST + (DEMO_NIGHTS - 1) * DAY),
             ("fit-fleet", "configs/fleet.toml"),
-            ("report", "configs/fleet.toml"),
+            ("report", "configs/fleet.toml", "--nights", 25),
         ):
             done = command.run_command(*words, folder=folder, process=True)
             assert done.code == 0, done.err

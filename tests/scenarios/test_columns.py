@@ -14,15 +14,15 @@ from pipeline.schema import LATEST, NIGHTS, TABLES
 from tests.pipeline.calling import without_workers
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet, step
 
-NIGHT = 12
-# Three motors of a tank: gaps of the first open in night 10; the second logs the viscosity; the
-# third has charge pressure, from night 10 on an oil that nobody states, and a torn newest log.
+NIGHT = 10
+# Three motors of a tank: gaps of the first open in night 9; the second logs the viscosity; the
+# third has charge pressure, from night 9 on an oil that nobody states, and a torn newest log.
 RARE = (
-    Simulated("M1", step(at=10, gap=0.12), format="csv", circuit="tank"),
+    Simulated("M1", step(at=9, gap=0.12), format="csv", circuit="tank"),
     Simulated("M2", circuit="tank"),
     Simulated(
         "M3",
-        unstated_oil=(10, "vg46"),
+        unstated_oil=(9, "vg46"),
         circuit="tank",
         lines="[override.model]\ncharge_pressure_bar = 12.0\n",
     ),
@@ -64,7 +64,7 @@ def test_every_column_has_a_value_somewhere(demo: ScenarioFleet, tmp_path: Path)
     filled.add(near.output)
     # A night with halts enough for an interval of the sensors' zeros.
     long = ScenarioFleet(tmp_path / "long")
-    write_demo(long.folder, nights=1, minutes=240, rate_hz=1.0, motors=("CB400-01",))
+    write_demo(long.folder, nights=1, minutes=120, rate_hz=1.0, motors=("CB400-01",))
     without_workers(long.config)
     filled.add(long.fitted("--motors", "CB400-01").output)
     fleet = make_fleet(tmp_path / "rare", *RARE, nights=NIGHT)
@@ -74,7 +74,7 @@ def test_every_column_has_a_value_somewhere(demo: ScenarioFleet, tmp_path: Path)
     assert fleet.run("fit-fleet").code == 1
     fleet.run("ack", "M1", "--note", "ordered")
     fleet.run("ack", "M1", "--note", "as feared", "--finding", "confirmed")
-    parts = ("--opened", "2026-01-12", "--worn", "balance_sleeve", "--sound", "piston ring")
+    parts = ("--opened", "2026-01-11", "--worn", "balance_sleeve", "--sound", "piston ring")
     fleet.run("ack", "M1", "--note", "scored", *parts)
     fleet.run("status")
     # A rise within the next day, which the night confirms, and a damaged file.
@@ -87,7 +87,7 @@ def test_every_column_has_a_value_somewhere(demo: ScenarioFleet, tmp_path: Path)
     filled.add(fleet.output)
     # The logs of the change were wrong.
     sound = replace(fleet, motors={"M1": Simulated("M1", format="csv")})
-    for number in range(10, NIGHT + 2):
+    for number in range(9, NIGHT + 2):
         sound.write_night("M1", number)
     fleet.run("fit-fleet")
     filled.add(fleet.output)

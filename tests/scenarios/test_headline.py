@@ -51,13 +51,13 @@ def summary(fleet: ScenarioFleet) -> dict[str, str]:
     return {part.partition(":")[0]: " ".join(part.split()) for part in text.split("\n\n")}
 
 
-@covers("status --long", "report --to")
+@covers("status --long", "report --to --nights")
 def test_a_motor_has_one_headline(fleet: ScenarioFleet, tmp_path: Any) -> None:
     brief, whole = fleet.run("status"), fleet.run("status", "--long")
     listed = {line.split("\t")[0]: line.split("\t") for line in brief.out.splitlines()[1:]}
     long = {line.split("\t")[0]: line.split("\t") for line in whole.out.splitlines()[1:]}
     mails, nights = summary(fleet), fleet.table("nights")
-    assert fleet.run("report", "--to", tmp_path / "pages").code == 0
+    assert fleet.run("report", "--to", tmp_path / "pages", "--nights", 1).code == 0
     for row in fleet.table("latest").to_dicts():
         motor, change = row["motor_id"], change_of(row)
         newest = nights.filter(motor_id=motor).to_dicts()[-1]
