@@ -35,7 +35,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DEMO_NIGHTS = 3
-DEMO_MINUTES = 60.0
+DEMO_MINUTES = 42.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -58,7 +58,7 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo_folder(shared_folder: Path) -> Path:
-    """The demo fleet, 3 nights of 60 minutes; only to be read."""
+    """The demo fleet, 3 nights of 42 minutes; only to be read."""
 
     def make(folder: Path) -> None:
         from pipeline.demo.writing import write_demo

@@ -59,6 +59,14 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     (entry,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
     assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE['alarm']}" in entry.text
     assert f"Acknowledged: {NOTE}" in entry.text
+    # A state has its words beside it, and old data are marked: 11 UTC is noon in the fleet's zone.
+    cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
+    assert cells[0].text == f"alarm\n{ADVICE['alarm']}"
+    assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
+    old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
+    assert old[0].startswith("2026-01-05 12:00 (")
+    assert old[0].endswith(" days ago)")
+    assert len(old) == 1 + MOTORS
     find = browser.find_element(By.ID, "find")
     find.send_keys("cb560 insufficient")
     assert shown(browser) == ["CB560-02"]
@@ -84,20 +92,6 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     visit(browser, judged / "index.html", "#find=none&sort=99%20up&type=%E0<b>")
     assert shown(browser) == []
     assert browser.find_element(By.ID, "nothing").is_displayed()
-
-
-def test_a_state_has_its_words_beside_it_and_old_data_are_marked(
-    browser: Chrome, judged: Path
-) -> None:
-    visit(browser, judged / "index.html")
-    cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
-    assert cells[0].text == f"alarm\n{ADVICE['alarm']}"
-    assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
-    # 11 UTC is noon in the fleet's zone; all is long ago.
-    old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
-    assert old[0].startswith("2026-01-05 12:00 (")
-    assert old[0].endswith(" days ago)")
-    assert len(old) == 1 + MOTORS
 
 
 # A motor
@@ -352,20 +346,21 @@ return [document.documentElement, ...document.querySelectorAll('.scroll, table, 
 
 
 @pytest.mark.parametrize("page", PAGES)
-@pytest.mark.parametrize("width", [390, 768, 1280])
-def test_a_telephone_a_tablet_and_a_desk(
-    browser: Chrome, judged: Path, page: str, width: int
-) -> None:
+def test_a_telephone_a_tablet_and_a_desk(browser: Chrome, judged: Path, page: str) -> None:
     """Nothing is wider than its screen, nothing lies on another, no row is high."""
-    size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    visit(browser, judged / page)
-    if page == PAGES[1]:
-        drawn(browser)
-        assert browser.execute_script(OVER_A_CHART) == []
-        assert browser.execute_script(BUTTONS_ON_WORDS) == []
-    for script in (WIDE, OVERLAPS, HIGH):
-        assert browser.execute_script(script) == []
+    size = {"height": 1000, "deviceScaleFactor": 1, "mobile": False}
+    for place, width in enumerate((390, 768, 1280)):
+        resized = {"width": width, **size}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", resized)
+        if not place:
+            visit(browser, judged / page)
+        if page == PAGES[1]:
+            drawn(browser)
+            wait(browser, FILLED)
+            assert browser.execute_script(OVER_A_CHART) == []
+            assert browser.execute_script(BUTTONS_ON_WORDS) == []
+        for script in (WIDE, OVERLAPS, HIGH):
+            assert browser.execute_script(script) == [], width
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 

@@ -171,7 +171,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocked = NIGHT + 2 * DAY
-    isolated = QUICK.replace("sequential", "loky") + "answer_s = 3.0\n"
+    isolated = QUICK.replace("sequential", "loky") + "workers = 1\nanswer_s = 3.0\n"
     workshop.configure(fleet=isolated, motors=("M1", "M2"))
     for motor in ("M1", "M2"):
         for night in (NIGHT, NIGHT + DAY):

@@ -36,7 +36,7 @@ def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str
 
     fleet = load_fleet(fleet_file)
     timeout_s = 15.0 if what.startswith("hang") else 60.0
-    limits = Execution(workers=2, timeout_s=timeout_s, memory_limit_mib=1500)
+    limits = Execution(workers=1, timeout_s=timeout_s, memory_limit_mib=1500)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
@@ -113,7 +113,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         return run_trends(task)
 
     monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
-    limits = Execution(workers=2, timeout_s=60.0, memory_limit_mib=1500)
+    limits = Execution(workers=1, timeout_s=60.0, memory_limit_mib=1500)
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
     (row,) = rows(output_of(fleet), "run_motors", BAD).to_dicts()

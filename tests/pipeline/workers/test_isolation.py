@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -42,54 +41,45 @@ EXPECTED = {
     "kill": ("worker_died", "its worker process ended with SIGKILL(-9)"),
     "segfault": ("worker_died", "SIGSEGV(-11)"),
 }
-# One of each kind; the others in the full run.
-QUICK = {"panic", "hang_in_c", "eat_with_polars", "segfault"}
+# One of each kind, those that do not hang together; the others in the full run.
+QUICK = [(("panic", "eat_with_polars", "segfault"), 2), (("hang_in_c",), 2)]
+ALL = [*(((name,), 2) for name in EXPECTED), (("kill",), 1), (("hang_in_c",), 1)]
 
 
-def not_lost(_: object, loss: Loss) -> Any:
+def not_lost(_: object, loss: Loss) -> object:
     raise AssertionError(loss)
 
 
 @pytest.mark.parametrize(
-    ("name", "n_workers"),
-    [
-        *(
-            pytest.param(name, 2, marks=() if name in QUICK else pytest.mark.full)
-            for name in EXPECTED
-        ),
-        pytest.param("kill", 1, marks=pytest.mark.full),
-        pytest.param("hang_in_c", 1, marks=pytest.mark.full),
-    ],
+    ("names", "n_workers"),
+    [*QUICK, *(pytest.param(*case, marks=pytest.mark.full) for case in ALL)],
 )
-def test_what_a_task_does_to_its_worker_costs_itself_alone(name: str, n_workers: int) -> None:
+def test_what_a_task_does_to_its_worker_costs_itself_alone(
+    names: tuple[str, ...], n_workers: int
+) -> None:
     losses: dict[str, Loss] = {}
-    limits = HASTY if EXPECTED[name][0] == "task_timeout" else LIMITS
+    is_hanging = EXPECTED[names[0]][0] == "task_timeout"
+    limits = HASTY if is_hanging else LIMITS
     with open_workers(limits.model_copy(update={"workers": n_workers})) as workers:
-        done = set(workers.run(do, ["a", name, *"bcd"], losses.__setitem__))
+        done = set(workers.run(do, ["a", *names, *"bcd"], losses.__setitem__))
     assert done == {"a done", "b done", "c done", "d done", None}
-    assert set(losses) == {name}
-    code, words = EXPECTED[name]
-    assert losses[name].code == code
-    assert words in losses[name].how
+    assert set(losses) == set(names)
+    for name in names:
+        code, words = EXPECTED[name]
+        assert losses[name].code == code
+        assert words in losses[name].how
 
 
-@pytest.mark.parametrize(("asked", "limit_s"), [(True, 0.5), (False, 2)])
-def test_a_log_that_a_task_waits_for_is_named(asked: bool, limit_s: float) -> None:
-    found: list[Loss] = []
-
-    def without(_: bool, loss: Loss) -> None:
-        found.append(loss)
-
+def test_a_log_that_a_task_waits_for_is_named() -> None:
+    """Each part of a task and each file has the whole time."""
+    losses: dict[bool, Loss] = {}
     with open_workers(HASTY) as workers:
-        list(workers.run(hang_at_a_log, [asked], lambda *_: None, without))
-    how = f"a.csv did not answer within {limit_s} s, at a night"
-    assert found == [Loss("log_no_answer", how, "a night", "a.csv")]
-
-
-@pytest.mark.parametrize("slow", [slow_by_parts, slow_by_items])
-def test_each_part_and_each_file_has_the_whole_time(slow: Any) -> None:
-    with open_workers(HASTY) as workers:
-        assert list(workers.run(slow, [3], not_lost)) == [3]
+        list(workers.run(hang_at_a_log, [True, False], losses.__setitem__))
+        for slow in (slow_by_parts, slow_by_items):
+            assert list(workers.run(slow, [3], not_lost)) == [3]
+    for asked, limit_s in ((True, 0.5), (False, 2)):
+        how = f"a.csv did not answer within {limit_s} s, at a night"
+        assert losses[asked] == Loss("log_no_answer", how, "a night", "a.csv")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")
@@ -102,28 +92,22 @@ def test_a_task_that_is_lost_once_is_done_the_second_time_with_nothing_beside_it
         assert list(workers.run(die_once, markers, not_lost)) == ["done", "done"]
 
 
-def test_workers_stay_for_the_tasks_that_follow() -> None:
-    with open_workers(LIMITS) as workers:
-        # One of the two may do all of a call.
-        found = {pid for _ in range(3) for pid in workers.run(own_pid, range(6), not_lost)}
-        assert len(found) <= 2
-        assert os.getpid() not in found
-    assert workers_of(os.getpid()) == 0
-
-
-def test_variables_of_workers_are_theirs_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_stay_have_variables_of_their_own_and_are_heard(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.check=3")
     before = dict(os.environ)
     with open_workers(LIMITS) as workers:
-        (found,) = workers.run(environment, [None], not_lost)
-    assert dict(os.environ) == before
-    assert found["POLARS_MAX_THREADS"] == found["OMP_NUM_THREADS"] == "1"
-    assert found["GLIBC_TUNABLES"] == f"glibc.malloc.check=3:{HUGE_PAGES}"
-
-
-def test_what_a_worker_says_reaches_stderr(capfd: pytest.CaptureFixture[str]) -> None:
-    with open_workers(LIMITS) as workers:
+        # One of the two may do all of a call.
+        pids = {pid for _ in range(3) for pid in workers.run(own_pid, range(6), not_lost)}
+        assert len(pids) <= 2
+        assert os.getpid() not in pids
+        (variables,) = workers.run(environment, [None], not_lost)
         list(workers.run(do, ["raise_error"], lambda *_: None))
+    assert workers_of(os.getpid()) == 0
+    assert dict(os.environ) == before
+    assert variables["POLARS_MAX_THREADS"] == variables["OMP_NUM_THREADS"] == "1"
+    assert variables["GLIBC_TUNABLES"] == f"glibc.malloc.check=3:{HUGE_PAGES}"
     err = capfd.readouterr().err
     assert "ZeroDivisionError: not foreseen" in err
     assert "in raise_error" in err
