@@ -154,12 +154,11 @@ class ChangeInForce:
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """An event behind which the motor is the same, until a baseline period of its own (7c.6).
+    """An event behind which the motor is the same, until its step is known (7c.6).
 
-    Its first day, the spread of the step that it may make, and the change just before.
+    The spread of the step that it may make, and the change just before.
     """
 
-    day: int
     spread: float
     before: Estimate
 
@@ -188,10 +187,11 @@ class WatchState:
     evidence: float = NOTHING  # ln R of the newest night.
     # period_from: Day from which a baseline period of its own is to begin; None: none is.
     period_from: int | None = None
-    # Change of the flow at the baseline period's beginning against the first baseline.
+    # Change of the flow at the baseline period's beginning against the first baseline, less what
+    # events have moved since.
     carried: Estimate = UNCHANGED
     in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
-    crossing: Crossing | None = None  # The event that the baseline period has behind it, if any.
+    crossing: Crossing | None = None  # The event with which the window begins, if any.
     undone: Cause | None = None  # The cause that undoes what was adopted, if anything was.
 
     @property
@@ -272,11 +272,14 @@ class WatchState:
         """What the event behind which the nights lie has moved (model.md, 7c.6).
 
         Of the step s between the levels before and after, the likely share: δ = s σ² / (σ² + τ²).
+        The nights of a change that settles are none of those after.
         """
         crossing = self.crossing
         if crossing is None or not len(self.window):
             return UNCHANGED
-        level = self.level_along(self.baseline.leakage_flows).mean()
+        settling = self.in_force.attribution if self.in_force is not None else None
+        after = EVERY if settling is None else slice(max(1, self.place(settling.start)))
+        level = self.level_along(self.baseline.leakage_flows).mean(after)
         grown = (1.0 + self.carried.value) * (1.0 + level.value)
         step = grown / (1.0 + crossing.before.value) - 1.0
         own = choices.OWN_STEP**2 + level.sd**2 + crossing.before.sd**2

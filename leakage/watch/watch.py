@@ -24,6 +24,7 @@ from leakage.watch.adoption import (
     adopted,
     at_rest,
     begin,
+    event_settled,
     in_force_of,
     new_period,
     settling,
@@ -78,6 +79,8 @@ class Watch:
             state = settling(state)
             if state.is_settling:
                 return Watch(shortened(state))
+        if state.crossing is not None and len(state.window) > choices.PERIOD_NIGHTS:
+            state = event_settled(state)
         state = test_for_change(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)

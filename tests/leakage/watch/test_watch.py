@@ -418,19 +418,32 @@ def crossed(nights: Sequence[NightBlocks], event: int, spread: float) -> list[Wa
     return watches
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("standing", [0.0, 0.12])
-def test_an_event_with_the_same_motor_keeps_its_change(standing: float, seed: int) -> None:
-    """7c.6: the new oil moves all flows by 6 %, its own: the change stays, or silence."""
+# Standing change, then change some nights after the event. The large one has a baseline of its own.
+BESIDE_EVENTS = [(0.0, 0.0, 0), (0.12, 0.0, 0), (0.3, 0.0, 0), (0.0, 0.12, 4), (0.0, 0.12, 12)]
+
+
+@pytest.mark.parametrize(("standing", "later", "after"), BESIDE_EVENTS)
+def test_an_event_with_the_same_motor_keeps_its_changes(
+    standing: float, later: float, after: int
+) -> None:
+    """7c.6: the new oil moves all flows by 6 %, its own: what the motor does is its own, too."""
+
+    def grown_by(night: int) -> float:
+        return (1.0 + standing * (night >= BEGIN)) * (1.0 + later * (night >= 50 + after)) - 1.0
 
     def growth(night: int) -> float:
-        return (1.0 + standing * (night >= BEGIN)) * (1.06 if night >= 50 else 1.0)
+        return (1.0 + grown_by(night)) * (1.06 if night >= 50 else 1.0)
 
-    watches = crossed(Plant(growth=growth).nights(75, seed), 50, 0.09)
-    for watch in watches[50 - FIRST + 1 :]:
-        verdict = watch.verdict()
-        assert verdict.present.lower < standing < verdict.present.upper
-        assert (verdict.change is not None) == (standing > 0.0)
+    watches = crossed(Plant(growth=growth).nights(75, 1), 50, 0.09)
+    # A step is detected in its second night, and one that begins with few nights before in its
+    # fourth.
+    known_from = 50 + after + 3 if later else 51
+    for night in range(known_from, 75):
+        verdict = watches[night - FIRST + 1].verdict()
+        assert verdict.present.lower < grown_by(night) < verdict.present.upper
+        assert (verdict.change is not None) == (grown_by(night) > 0.0)
+    # Wear of later nights is none of the event's step.
+    assert watches[-1].state.crossing is None
 
 
 def small_nights(n: int, seed: int, growth: Callable[[int], float]) -> list[NightBlocks]:
