@@ -12,7 +12,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -186,16 +186,17 @@ class _Run:
     @contextmanager
     def _step(self, stage: str, seconds: str = "", *, is_whole: bool = True) -> Iterator[None]:
         """Do a stage, and note its time; a first signal ends it, or waits for its end."""
-        self.heartbeat.say(stage=stage, run_id=self.publisher.run_id or None)
-        begin, came = time.perf_counter(), list[int]()
-        try:
-            with interrupts_held() if is_whole else nullcontext(came) as came:
-                yield
-        except KeyboardInterrupt:
+        begin = time.perf_counter()
+        with interrupts_held() as came:
+            self.heartbeat.say(stage=stage, run_id=self.publisher.run_id or None)
             if is_whole:
-                raise
-            self.is_stopped = True
+                yield
         self.is_stopped |= bool(came)
+        if not is_whole:
+            try:
+                yield
+            except KeyboardInterrupt:
+                self.is_stopped = True
         if seconds:
             self.seconds[seconds] += time.perf_counter() - begin
 
@@ -206,7 +207,7 @@ class _Run:
             state.set_meta(LAST_RUN, max(state.meta(LAST_RUN), self.started.isoformat()))
             self.damage = find_damage(state, every_file=request.repair)
             self.refitted = forget_lost(state, self.damage)
-            tasks = request.tasks(self.publisher.staging)
+            tasks = () if self.is_stopped else request.tasks(self.publisher.staging)
             for outcome in _motor_outcomes(self.workers, tasks, request.fleet.execution, state):
                 self.outcomes.append(outcome)
                 self.heartbeat.motor_done()

@@ -124,6 +124,16 @@ def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
     assert changes == [("M2", "changed"), ("M1", "new")]
 
 
+def test_a_row_that_waits_is_sent_though_a_rule_words_it_anew(tmp_path: Path) -> None:
+    receiver = deaf()
+    run(tmp_path, [], receiver)
+    run(tmp_path, [row("M1")], receiver)
+    run(tmp_path, [other := row("M1", sentence="other words")], receiver, silent=[other["id"]])
+    receiver.refuses = lambda _: False
+    run(tmp_path, [], receiver)
+    assert [change["sentence"] for change in receiver.changes()] == ["other words"]
+
+
 def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(tmp_path: Path) -> None:
     first, second = Fake(), Fake("webhook")
     run(tmp_path, [row("M1")])
