@@ -139,8 +139,9 @@ def _print_check(motor: MotorCheck) -> None:
         print_table(CHANNEL_COLUMNS, list(map(_channel_cells, motor.channels)))
     refused = Counter(f"{night.status}: {night.reason}" for night in motor.forecast if night.reason)
     if motor.forecast:
-        n_fitted = sum(night.status == "ok" for night in motor.forecast)
-        typer.echo(f"{n_fitted} of {counted(len(motor.forecast), 'night')} read would be fitted")
+        statuses = Counter(night.status for night in motor.forecast)
+        n_read = statuses.total() - statuses["no_new_data"]
+        typer.echo(f"{statuses['ok']} of {counted(n_read, 'night')} read would be fitted")
     for reason, n_nights in refused.most_common(_MOST_REASONS):
         typer.echo(f"{counted(n_nights, 'night')}: {reason}")
     for note in motor.notes:

@@ -7,6 +7,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ from pipeline.workers.process import Loss, reading, still_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
+# A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
+# motor stood in store.
+LONGEST_HOLE = dt.timedelta(days=366)
 # Of the hash of a content, so much tells it from a motor's others.
 HASH_LENGTH = 16
 # Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
@@ -150,6 +154,18 @@ class MotorLogs:
             if record.status == "growing"
             for label in self.touched(name)
         }
+
+    def holes(self, certain: Collection[dt.date]) -> set[dt.date]:
+        """Return nights that no log covers between those of readable logs and `certain` ones."""
+        # A file that cannot be read may stand far off: its night is a guess.
+        readable = (labels_of(file) for file in self.files.values() if file.status == "ok")
+        between = {
+            label
+            for first, last in pairwise(sorted(set(certain).union(*readable)))
+            if last - first <= LONGEST_HOLE
+            for label in nights_between(first, last)
+        }
+        return between - self.present()
 
     def contents_of(self, label: dt.date) -> tuple[str, ...]:
         """Return hashes of the contents of a night's files, cut short, in order."""

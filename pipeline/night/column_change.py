@@ -86,26 +86,43 @@ def usual_readings(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     }
 
 
+def refusal(change_words: str, unlike: dt.date | None = None) -> str:
+    """Return why a night is refused for a change, be it the other nights' beside one unlike it."""
+    how = "mend the log or the motor's file, enter a dated event if the motor runs so now"
+    which = "" if unlike is None else f"unlike night {unlike}: "
+    return f"{which}{change_words}; {how}, or ack the night"
+
+
 def column_change(
-    spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
+    spec: MotorSpec,
+    usual: Mapping[str, float],
+    now: Mapping[str, float],
+    *,
+    is_fitted: bool = True,
 ) -> Change | None:
     """Return why readings look like those of other columns or units than usual; None: they do not.
 
     Both have the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
+    A night that is not fitted says nothing of the others' units.
     """
     if min(means[name] for means in (usual, now) for name in COLUMNS) <= 0.0:
         return None
     # Of all units that a flow may be in, the model's flow is the same.
     model_flow = cache(partial(_model_flow, spec))
-    units = [
-        other_unit
+    unit, of_others = (
+        min(
+            _other_units(spec, model_flow, usual, now, is_of_others=is_of_others),
+            key=itemgetter(0),
+            default=(math.inf, None),
+        )
         for is_of_others in (False, True)
-        for other_unit in _other_units(spec, model_flow, usual, now, is_of_others=is_of_others)
-    ]
-    nearest = min(units, key=itemgetter(0), default=None)
+    )
+    # The others are several, and were configured: they are wrong where that is exact, or clearer.
+    are_wrong = of_others[0] < (unit[0] if of_others[0] < EXACT else unit[0] / USUAL)
+    nearest = of_others[1] if is_fitted and are_wrong else unit[1]
     changes = (
         _swapped(usual, now),
-        () if nearest is None else (nearest[1],),
+        filter(None, [nearest]),
         _other_gauge(spec, usual, now),
     )
     return next(chain.from_iterable(changes), None)

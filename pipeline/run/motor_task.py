@@ -30,6 +30,7 @@ from pipeline.night.column_change import (
     USUAL_NIGHTS,
     column_change,
     readings_of,
+    refusal,
     usual_readings,
 )
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
@@ -291,22 +292,21 @@ class MotorRun(NightPlan):
         now = next(map(readings_of, outcome.rows["nights"]), {})
         change = None
         if now and (usual := self._usual(outcome.night)):
-            change = column_change(self.spec, usual, now)
+            is_fitted = outcome.status == OK
+            change = column_change(self.spec, usual, now, is_fitted=is_fitted)
         if change is None or outcome.night in self.task.released:
             return outcome
         before = {night for night in self._fitted_nights(outcome.night) if night < outcome.night}
         # The nights before are refused where this run made them; what is published stays.
         if change.is_of_others and before and before <= self.done.keys():
-            words = f"unlike night {outcome.night}: {change.words}"
+            why = refusal(change.words, outcome.night)
             for label in sorted(before - self.task.released):
-                self._remember(self._with_change(self.done[label], words))
+                self._remember(self._refused(self.done[label], why))
             return outcome
-        return self._with_change(outcome, change.words)
+        return self._refused(outcome, refusal(change.words))
 
-    def _with_change(self, outcome: NightOutcome, words: str) -> NightOutcome:
+    def _refused(self, outcome: NightOutcome, why: str) -> NightOutcome:
         """Return a night that fails with a change of columns or units."""
-        how = "mend the log or the motor's file, enter a dated event if the motor runs so now"
-        why = f"{words}; {how}, or ack the night"
         rows = {"quality": outcome.rows.get("quality", [])}
         return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.config.hashes import ROLLER, SettingsHashes, settings_of, why_anew
-from pipeline.config.nights import nights_between
 from pipeline.logs.files import labels_of
 from pipeline.logs.motor_logs import MotorLogs
 from pipeline.logs.processed import (
@@ -48,9 +47,6 @@ if TYPE_CHECKING:
     from pipeline.night.fit_night import NightOutcome
 
 NO_LOG = "no log covers it any more"
-# A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
-# motor stood in store.
-LONGEST_HOLE = dt.timedelta(days=366)
 # First nights of a baseline that decide on the scale of the rollers, and the part of them that has
 # to identify it: later nights are like most of them.
 ROLLER_NIGHTS, MOST = 15, 0.8
@@ -218,18 +214,8 @@ class NightPlan:
         """Return nights between two logs that no log covers and that have no row yet."""
         if not self.done:
             return []
-        known = self.logs.present() | self.records.keys()
-        # A file that cannot be read may stand far off: its night is a guess.
-        readable = [file for file in self.logs.files.values() if file.status == "ok"]
-        certain = {label for record in readable for label in labels_of(record)}
-        certain |= {label for label, record in self.records.items() if record.status != FAILED}
-        between = {
-            label
-            for first, last in pairwise(sorted(certain))
-            if last - first <= LONGEST_HOLE
-            for label in nights_between(first, last)
-        }
-        return sorted(label for label in between - known if self.task.wants(label))
+        certain = {label for label, record in self.records.items() if record.status != FAILED}
+        return sorted(filter(self.task.wants, self.logs.holes(certain) - self.records.keys()))
 
     def roller_decision_due(self) -> dict[str, Any] | None:
         """Return the decision on the rollers' scale if it is to be made: once in a baseline."""

@@ -37,6 +37,7 @@ from pipeline.night.column_change import (
     USUAL_NIGHTS,
     column_change,
     readings_of,
+    refusal,
     usual_readings,
 )
 from pipeline.night.fit_night import clean_channels, fit_night
@@ -79,6 +80,7 @@ HOW_TO_MEND = {
     "bad_quality": "are other codes good? Correct quality_good",
     "not_finite": "correct the column, or logs.missing_tokens",
 }
+NO_LOG = "no log covers this night"
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
@@ -157,7 +159,7 @@ def check_motor(
         for kind in ("excluded", "released")
     )
     if is_full:
-        looks = list(_every_look(spec, logs, open_nights, released))
+        looks = list(_every_look(spec, logs, stays, released))
     else:
         looks = list(_few_looks(spec, logs, _small_nights(logs, open_nights)))
     forecast = tuple(
@@ -242,24 +244,35 @@ class _NightLook:
 
 
 def _every_look(
-    spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date], released: Collection[dt.date]
-) -> Iterable[_NightLook]:
-    """Look into all nights, in order of time; each is compared with those before it."""
+    spec: MotorSpec, logs: MotorLogs, stays: Collection[dt.date], released: Collection[dt.date]
+) -> Iterator[_NightLook]:
+    """Yield all nights, in order of time; each is compared with those before it.
+
+    Reading may show that a log covers other nights than its ends do.
+    """
     looks: dict[dt.date, _NightLook] = {}
-    for label in labels:
+    while labels := sorted(logs.present() - logs.waiting() - looks.keys() - set(stays)):
+        label = labels[0]
         begins = (event.date for event in spec.file.baseline_events if event.date <= label)
         since = max(begins, default=dt.date.min)
         before = [day for day, look in looks.items() if day >= since and look.status == OK]
         look = _look_at_night(spec, logs, label)
-        looks[label] = look if label == labels[-1] else replace(look, samples=None)
+        looks[label] = look if len(labels) == 1 else replace(look, samples=None)
         usual = usual_readings(looks[day].row for day in before[-USUAL_NIGHTS:])
         readings = readings_of(look.row) if label not in released else {}
-        if usual and readings and (change := column_change(spec, usual, readings)):
-            for day in set(before) - set(released) if change.is_of_others else [label]:
-                looks[day] = replace(
-                    looks[day], status=FAILED, reason=change.words, is_changed=True
-                )
-    return looks.values()
+        if not usual or not readings:
+            continue
+        if change := column_change(spec, usual, readings, is_fitted=look.status == OK):
+            days, why = [label], refusal(change.words)
+            if change.is_of_others:
+                days = [day for day in before if day not in released]
+                why = refusal(change.words, label)
+            for day in days:
+                looks[day] = replace(looks[day], status=FAILED, reason=why, is_changed=True)
+    certain = {label for label, look in looks.items() if look.status != FAILED}
+    for label in logs.holes(certain) - looks.keys() - set(stays):
+        looks[label] = _NightLook(label, NO_NEW_DATA, NO_LOG)
+    yield from (looks[label] for label in sorted(looks))
 
 
 def _small_nights(logs: MotorLogs, labels: Iterable[dt.date]) -> list[dt.date]:
@@ -289,7 +302,7 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
     if broken := [record for record in files if record.status != "ok"]:
         return _NightLook(label, FAILED, broken[0].message or "")
     if not channels:
-        return _NightLook(label, NO_NEW_DATA, "no log covers this night")
+        return _NightLook(label, NO_NEW_DATA, NO_LOG)
     extremes, fitted = repeated_extremes(spec, channels), list[Samples]()
     outcome = fit_night(spec, night(label, spec.settings.nights), channels, fitted.append)
     logs.let_go_until(label - DAY)
@@ -354,9 +367,10 @@ def _is_first_night(spec: MotorSpec, records: Mapping[str, FileRecord]) -> bool:
 
 def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]:
     """The fault of a motor of which no night would be fitted."""
+    read = [night for night in forecast if night.status != NO_NEW_DATA] or forecast
     if forecast and all(night.status != OK for night in forecast):
-        reasons = dict.fromkeys(f"{night.status}: {night.reason}" for night in forecast)
-        looked = "none" if len(forecast) == n_nights else f"none of {len(forecast)} looked into"
+        reasons = dict.fromkeys(f"{night.status}: {night.reason}" for night in read)
+        looked = "none" if len(read) >= n_nights else f"none of {len(read)} looked into"
         why = "; ".join(list(reasons)[:2])
         yield f"no_night: of {counted(n_nights, 'night')} {looked} would be fitted ({why})"
 
@@ -430,12 +444,11 @@ def _changed_nights(
     spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook], decided: Collection[dt.date]
 ) -> Iterator[str]:
     """Yield the nights of other columns or units than before, but for those that people decided."""
-    how = "mend the log or the motor's file, or enter a dated event if the motor runs so now"
     changed = [look for look in looks if look.is_changed and look.label not in decided]
     newest = max(looks, key=lambda look: look.label, default=None)
     if changed:
         nights = f"{counted(len(changed), 'night')}, {changed[0].label} to {changed[-1].label}"
-        yield f"columns_changed: {nights}, would be refused: {changed[0].reason}; {how}"
+        yield f"columns_changed: {nights}, would be refused: {changed[0].reason}"
     elif newest and newest.samples and newest.label not in decided:
         labels, samples_of = _readable(logs, logs.present()), partial(_samples_of, spec, logs)
         if change := changed_readings(spec, labels, samples_of, newest.samples):

@@ -424,15 +424,19 @@ def test_long_tables_of_influx(form: str, plant: Plant) -> None:
 
 @covers("check --json --full")
 def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
-    """Of four nights one is short, one stands still, and one reads one temperature for ever."""
+    """Of four nights one is short, one stands still, and one reads one temperature for ever.
+
+    Before the last there is a night without a log, behind it one whose log cannot be read.
+    """
     nights = {
         1: wide(1),
         2: "".join(wide(2).splitlines(keepends=True)[:200]),
         3: wide(3, edit=constant("speed", 0.0)),
-        4: wide(4, edit=constant("oil_temperature", 48.0)),
+        5: wide(5, edit=constant("oil_temperature", 48.0)),
     }
     files = {f"w_2026-01-0{night}.csv": text for night, text in nights.items()}
     assert plant.init(files).code == 0
+    (plant.folder / "logs" / "w_2026-01-06.csv").write_text(wide(6, form=MONTH_FIRST))
     (motor,) = plant.check("--full")
     plant.fit()
     fitted = plant.table().rows(named=True)
@@ -440,7 +444,9 @@ def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
     assert forecast == [
         (str(night["night"]), night["status"], night["reason"] or "") for night in fitted
     ]
-    assert {night["status"] for night in fitted} == {"ok", "insufficient_data", "stood_still"}
+    assert [night["status"] for night in fitted] == [
+        *("ok", "insufficient_data", "stood_still", "no_new_data", "ok", "failed")
+    ]
 
 
 def negative(at: int, row: list[Any]) -> list[Any]:
@@ -673,11 +679,14 @@ def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
         """Codes of the faults, and what is forecast."""
         (motor,) = plant.check("--full")
         codes = [fault.partition(":")[0] for fault in motor["faults"]]
+        reasons.append([night["reason"] or None for night in motor["forecast"]])
         return codes, [night["status"] for night in motor["forecast"]]
 
+    reasons: list[list[str | None]] = []
     assert checked() == (["columns_changed"], failed)
     assert plant.fit().code == 1
     assert plant.table()["status"].to_list() == failed
+    assert [plant.table()["reason"].to_list()] == reasons
     label = str(plant.table()["night"][3])
     words = ("w", "--note", "seen", "--night")
     refused = plant.run("ack", *words, "2026-01-02")

@@ -99,6 +99,27 @@ def test_nights_of_the_unit_before_are_named_whichever_is_configured(
         assert change.is_of_others == (now is right)
 
 
+@pytest.mark.parametrize(
+    ("speed_rpm", "is_fitted", "words"),
+    [
+        (3.94, True, "as usual if the log now has it in rad/s"),
+        (4.17, False, "as usual if the log now has it in rad/s"),
+        (5.08, False, ""),
+    ],
+)
+def test_nights_of_varied_duty_are_not_wrong_for_a_night_that_fits_them_by_chance(
+    tmp_path: Path, speed_rpm: float, is_fitted: bool, words: str
+) -> None:
+    """Speeds of 24 to 32 rpm before: 4.5 to 5.3 if they were in deg/s, and read in rpm."""
+    spec = load_motor(tmp_path, motor_toml("M1"))
+    usual = dict(zip(COLUMNS, USUAL, strict=True))
+    now = usual | {"speed": speed_rpm}
+    usual |= {"speed": 27.1, "speed lowest": 23.7, "speed highest": 31.7}
+    change = column_change(spec, usual, now, is_fitted=is_fitted)
+    assert (change is None) == (words == "")
+    assert change is None or (words in change.words and not change.is_of_others)
+
+
 def test_a_run_and_a_check_tell_a_gauge_in_mpa_from_one_night_on(tmp_path: Path) -> None:
     shop = Workshop.at(tmp_path)
     shop.take(motor_toml("M1", "MINI", units=GAUGES))
