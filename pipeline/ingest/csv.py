@@ -379,25 +379,27 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
     There is one piece at least. The last one is what stands behind the last line end, if anything.
     Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
     """
-    rest, is_first = b"", True
-    for text in _decoded(path, unpacked(path, piece), encoding):
-        data = rest + text if rest else text
-        if is_first and len(data) < 4:
-            rest = data
-            continue
+    is_first, rest = True, list[bytes]()  # pieces of a line whose end is not there yet
+    for data in _decoded(path, unpacked(path, piece), encoding):
+        text = data
         if is_first:
-            data = _first(path, data)
-            is_first = False
-        newline = data.rfind(b"\n")
-        end = max(newline, data.rfind(b"\r", newline + 1)) + 1
-        if not end and len(data) > LONGEST_LINE:
+            text = b"".join([*rest, data])
+            rest = [text]
+            if len(text) < 4:
+                continue
+            text, is_first, rest = _first(path, text), False, []
+        newline = text.rfind(b"\n")
+        end = max(newline, text.rfind(b"\r", newline + 1)) + 1
+        if end:
+            yield repaired(b"".join([*rest, text[:end]]))
+            rest = []
+        rest.append(text[end:])
+        if sum(map(len, rest)) > LONGEST_LINE:
             raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
-        whole, rest = data[:end], data[end:]
-        if whole:
-            yield repaired(whole)
+    last = b"".join(rest)
     if is_first:
-        rest = _first(path, rest)
-    yield rest if rest.strip() else b""
+        last = _first(path, last)
+    yield repaired(last) if last.strip() else b""
 
 
 def repaired(data: bytes) -> bytes:
