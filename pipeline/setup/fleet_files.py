@@ -34,6 +34,7 @@ from pipeline.setup.tables import Column
 from pipeline.units import canonical_unit
 
 Document = dict[str, Any]
+Span = tuple[dt.datetime, dt.datetime]
 NO_ANSWERS: Mapping[str, str] = MappingProxyType({})
 _MOST_MOTORS, _MOST_FILES = 12, 30
 _STANDSTILL_RPM = 0.5
@@ -49,11 +50,11 @@ _REFERENCE = {
 class Observed:
     """A motor's logs, as far as is known."""
 
-    spans: tuple[tuple[dt.datetime, dt.datetime], ...] = ()  # in local time, of files by name
-    # Median magnitude in the newest log by channel, of the speed while it turned.
+    spans: tuple[Span, ...] = ()  # in local time, of files by name
+    # Median magnitude in the newest readable log by channel, of the speed while it turned.
     typical: Mapping[str, float] = field(default_factory=dict)
     sampling: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # keys, by channel
-    fault: str = ""  # why the newest log cannot be read as proposed
+    fault: str = ""  # why a log cannot be read as proposed
 
 
 def fleet_files(
@@ -244,19 +245,21 @@ def observe(motor: ProposedMotor) -> Observed:
         name: Channel.model_validate({"unit": canonical_unit(name), **channel.keys})
         for name, channel in motor.channels.items()
     }
-    zone, newest = ZoneInfo(logs.time_zone), motor.files[-1]
+    zone, spans, fault = ZoneInfo(logs.time_zone), dict[Path, Span](), ""
+    for path in dict.fromkeys((motor.files[0], *motor.files[-_MOST_FILES:])):
+        try:
+            first, last = time_span(path, logs, channels)
+            spans[path] = utc(first).astimezone(zone), utc(last).astimezone(zone)
+        except LogError as error:
+            fault = f"{error.code}: {error.message}"
+    observed, newest = Observed(tuple(spans.values()), fault=fault), next(reversed(spans), None)
+    is_known = all(channel.unit for channel in motor.channels.values())
+    if newest is None or not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
+        return observed
     try:
-        ends = (
-            time_span(path, logs, channels)
-            for path in sorted({motor.files[0], *motor.files[-_MOST_FILES:]})
-        )
-        spans = tuple((utc(a).astimezone(zone), utc(b).astimezone(zone)) for a, b in ends)
-        is_known = all(channel.unit for channel in motor.channels.values())
-        if not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
-            return Observed(spans)
         raw_channels = read_log(newest, logs, channels).channels
     except LogError as error:
-        return Observed(fault=f"{error.code}: {error.message}")
+        return replace(observed, fault=f"{error.code}: {error.message}")
     every_us = np.unique(np.concatenate([raw.time_us for raw in raw_channels.values()]))
     sampling = {name: silence_keys(raw, every_us) for name, raw in raw_channels.items()}
     sizes = {name: np.abs(raw.value[np.isfinite(raw.value)]) for name, raw in raw_channels.items()}
@@ -266,7 +269,8 @@ def observe(motor: ProposedMotor) -> Observed:
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
         typical["pressure_difference"] = abs(high - low)
-    return Observed(spans, typical, {name: keys for name, keys in sampling.items() if keys})
+    sampling = {name: keys for name, keys in sampling.items() if keys}
+    return replace(observed, typical=typical, sampling=sampling)
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:

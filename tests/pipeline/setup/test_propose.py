@@ -21,7 +21,7 @@ from pipeline.demo import shipped_configs
 from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from pipeline.logs.finding import find_logs
-from pipeline.setup.fleet_files import fleet_files, observed_of, write_fleet
+from pipeline.setup.fleet_files import fleet_files, observe, observed_of, write_fleet
 from pipeline.setup.propose import propose
 from pipeline.units import QUANTITIES, from_canonical
 from pipeline.units import UNITS as KNOWN_UNITS
@@ -377,6 +377,15 @@ def test_most_channels_are_right_at_first_sight_and_none_is_wrong(
 
 
 # The files of a fleet
+
+
+def test_a_log_that_cannot_be_read_does_not_hide_the_others(tmp_path: Path) -> None:
+    write(tmp_path, {f"a_2026-01-{day}.csv": text(FOUR, CELLS) for day in (13, 14)})
+    (motor,) = propose(tmp_path, {}).motors
+    motor.files[-1].write_text("nothing")
+    observed = observe(motor)
+    assert (observed.fault[:4], len(observed.spans)) == ("log_", 1)
+    assert observed.typical["speed"] == 30.5
 
 
 @pytest.mark.parametrize("style", STYLES["plants"])
