@@ -12,7 +12,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 from typing import Any
 
@@ -102,13 +102,18 @@ def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
     return spec.file.periods.within(night_labelled(night, spec.settings.nights))
 
 
-@dataclass(slots=True)
+@dataclass  # without slots: the settings are gathered once
 class SettingsHashes:
     """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated."""
 
     spec: MotorSpec
     _statistics: dict[object, str] = field(default_factory=dict)
     _figures: dict[object, str] = field(default_factory=dict)
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """All settings, as `settings_of`."""
+        return settings_of(self.spec)
 
     def statistics(self, night: dt.date) -> str:
         """Hash of all that is made of a night's samples: its statistics, and what else is."""
@@ -165,13 +170,13 @@ def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool 
     if steps and before:
         return f"another version of the program ({', '.join(steps)})"
     parts = ("nights", "trends") if trends else ("nights",)
+    if not before or all(before.get(part) == now.get(part) for part in parts):
+        return "changed settings"
     old, new = (
         dict(entry for part in parts for entry in _flat("", settings.get(part, {})))
         for settings in (before, now)
     )
     names = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-    if not names or not before:
-        return "changed settings"
     more = ", …" if len(names) > SETTINGS_NAMED else ""
     return f"changed setting {', '.join(names[:SETTINGS_NAMED])}{more}"
 

@@ -63,9 +63,11 @@ def load_fleet(path: Path) -> Fleet:
     log_root = places.get("logs", path.parent)
     log_url = folders.logs if is_url(folders.logs) else ""
     specs: list[MotorSpec] = []
+    alike: dict[str, Settings] = {}
+    possible: set[object] = set()
     for name, its in sorted(motors.documents.items()):
         file, motor = f"motors/{name}.toml", motors.parsed.get(name)
-        settings = _settings(shared, its.get("override"), motor, file, faults)
+        settings = _settings(shared, its.get("override"), motor, file, faults, alike)
         motor_type = types.parsed.get(motor.motor_type) if motor else None
         # Of a type or an oil with a fault no motor can be made.
         if motor and settings and motor_type and oils.parsed.keys() >= {*motor.oils}:
@@ -74,7 +76,7 @@ def load_fleet(path: Path) -> Fleet:
                 motor, motor_type, oils.parsed, settings, log_root, log_url,
                 circuit_samples=circuit.oil_samples,
             )  # fmt: skip
-            faults += [*_impossible(file, spec), *_oil_faults(file, spec)]
+            faults += [*_impossible(file, spec, possible), *_oil_faults(file, spec)]
             specs.append(spec)
     faults += _claimed_twice(specs)
     # A motor's file that cannot be read may be of any circuit.
@@ -129,9 +131,21 @@ class _Override(Section):
 
 
 def _settings(
-    shared: Document, override: Any, motor: MotorFile | None, file: str, faults: list[Fault]
+    shared: Document,
+    override: Any,
+    motor: MotorFile | None,
+    file: str,
+    faults: list[Fault],
+    alike: dict[str, Settings],
 ) -> Settings | None:
-    """Return the fleet's settings with a motor's own; None where they have a fault."""
+    """Return the fleet's settings with a motor's own; None where they have a fault.
+
+    Motors of the same settings share them: `alike`.
+    """
+    is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
+    key = json.dumps((override, is_logged), default=str)
+    if key in alike:
+        return alike[key]
     merged = _merged(override if isinstance(override, dict) else {}, shared)
     checked = validated(_Override, {"override": merged}, file, faults)
     if checked is None:
@@ -139,10 +153,10 @@ def _settings(
     settings = checked.override
     model = settings.model
     if model.two_sided is None:
-        is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
         two_sided = is_logged or model.charge_pressure_bar > 0.0
         model = model.model_copy(update={"two_sided": two_sided})
-    return settings.model_copy(update={"model": model})
+    alike[key] = settings.model_copy(update={"model": model})
+    return alike[key]
 
 
 # Faults that no file shows alone
@@ -186,13 +200,20 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
             yield fault_at(f"motors/{spec.motor_id}.toml", key, message, flow.source)
 
 
-def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
-    """Yield faults that only show when type, oil, flushing and settings come together."""
+def _impossible(file: str, spec: MotorSpec, possible: set[object]) -> Iterator[Fault]:
+    """Yield faults that only show when type, oil, flushing and settings come together.
+
+    What goes together is noted in `possible`, and not tried again for the next motor.
+    """
     conditions = spec.settings.reference.conditions().operating
     for name in spec.file.oils:
         for mode in spec.file.flushing.modes:
+            together = spec.file.motor_type, name, mode, spec.file.flushing, id(spec.settings)
+            if together in possible:
+                continue
             try:
                 leakage_l_per_min(spec.motor_with(spec.oils[name], mode), conditions)
+                possible.add(together)
             except LeakageError as error:
                 yield Fault(file, "", f"with {name}: {error}")
 

@@ -41,6 +41,7 @@ from pipeline.trends.checkpoint import decoded, key_of
 from pipeline.trends.course import watch_settings
 from pipeline.trends.decisions import Decision
 from pipeline.trends.nights import periods_of, read_blocks
+from pipeline.trends.tasks import trend_hash
 from pipeline.trends.watch_columns import WatchColumns
 
 # Latest samples are left out: what follows may be a halt, and its guard time reaches back [µs].
@@ -201,7 +202,7 @@ def nights_before(
     checkpoint = decoded(content)
     if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")
-    if checkpoint.key != key_of(spec, decisions):
+    if checkpoint.key != key_of(trend_hash(spec, decisions)):
         raise Insufficient("", "settings, events or resets have changed: the nightly run redoes it")
     if any(checkpoint.last_night < event.date <= label for event in spec.file.baseline_events):
         raise Insufficient("", "a new baseline begins")

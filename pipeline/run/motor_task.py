@@ -60,7 +60,7 @@ from pipeline.schema.fits import (
 )
 from pipeline.store.published import TABLE_OF
 from pipeline.store.publishing import stage, staged_file
-from pipeline.store.tables import days_of, read_rows
+from pipeline.store.tables import days_of, files_of, read_rows
 from pipeline.workers.process import Loss, loss_of, one_thread, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -228,6 +228,7 @@ class MotorRun(NightPlan):
         delay_s, before = 0.0 if lag is None else lag[0], self.fitted_spec
         self.is_delay_decided = True
         self.fitted_spec = self.spec.decided(delay_s, roller_is_free=before.roller_is_free)
+        self.hashes = SettingsHashes(self.fitted_spec)
         if delay_s == (before.drain_delay_s or 0.0):
             return False
         for label in list(self.done):
@@ -243,6 +244,7 @@ class MotorRun(NightPlan):
         self.roller, before = decision, self.fitted_spec
         is_free = bool(decision["is_free"])
         self.fitted_spec = self.spec.decided(before.drain_delay_s, roller_is_free=is_free)
+        self.hashes = SettingsHashes(self.fitted_spec)
         if is_free == before.roller_is_free:
             return False
         self._make_anew("the scale of the rollers is decided")
@@ -256,7 +258,7 @@ class MotorRun(NightPlan):
 
     def _make_anew(self, why: str) -> None:
         """Have nights of before made anew as the motor is fitted now."""
-        self.hashes, self.why_anew = SettingsHashes(self.fitted_spec), why
+        self.why_anew = why
         self.by_settings = self._outdated_by_settings()
 
     def _read_and_fit(self, label: dt.date) -> NightOutcome:
@@ -425,6 +427,8 @@ class _StoredNights:
         return self._nights[table.name].get(label)
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
+        if not files_of(self._output, table, days_of(month)):
+            return {}
         every = tuple(name for name in table.schema if name != "run_id")
         columns = {BLOCKS: BLOCK_COLUMNS, NIGHTS: OF_NIGHT}.get(table, every)
         try:

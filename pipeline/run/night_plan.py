@@ -113,7 +113,7 @@ class NightPlan:
         self.roller = self.settings_before.get(ROLLER)
         self.fitted_spec = as_published(self.spec, self.settings_before)
         self.hashes = SettingsHashes(self.fitted_spec)
-        self.why_anew = why_anew(self.settings_before, settings_of(self.fitted_spec))
+        self.why_anew = why_anew(self.settings_before, self.hashes.settings)
         self.is_delay_decided = False  # in this run
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(before.nights)
@@ -311,7 +311,7 @@ class NightPlan:
         code, message = errors[0] if errors else (None, self._why_nothing(status))
         settled = self.done.keys() | self.stays.keys()
         files = {**self.logs.before, **self.logs.finished(settled)}
-        settings = settings_of(self.fitted_spec) | ({ROLLER: self.roller} if self.roller else {})
+        settings = self.hashes.settings | ({ROLLER: self.roller} if self.roller else {})
         after = ProcessedLogs(files, self.records, settings)
         return MotorOutcome(
             motor_id=self.spec.motor_id,

@@ -19,10 +19,7 @@ import polars as pl
 import scipy
 from numpy.typing import NDArray
 
-from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of, own_version
-from pipeline.trends.decisions import Decision
-from pipeline.trends.tasks import trend_hash
 
 # Raise it when a watch is stored as other arrays.
 CHECKPOINT_VERSION = 5
@@ -114,11 +111,11 @@ def decoded(content: bytes | None) -> MotorCheckpoint | None:
     return replace(checkpoint, watch=StoredWatch(dt.date.fromisoformat(period), own, day, arrays))
 
 
-def key_of(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
+def key_of(trend_hash: str) -> str:
     """Return the hash of all that shapes a motor's checkpoint beyond the tables."""
     return hash_of(
         {
-            "trends": trend_hash(spec, decisions),
+            "trends": trend_hash,
             "program": own_version(),
             "form": CHECKPOINT_VERSION,
             "libraries": (np.__version__, scipy.__version__, pl.__version__),

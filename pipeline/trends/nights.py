@@ -225,7 +225,7 @@ def _checkpoint(motor: TrendMotor) -> MotorCheckpoint | None:
     checkpoint = decoded(motor.checkpoint) if motor.is_as_recorded else None
     if checkpoint is None or motor.record is None:
         return None
-    expected = key_of(motor.spec, motor.decisions), motor.record.last_night
+    expected = key_of(motor.trend_hash), motor.record.last_night
     return checkpoint if (checkpoint.key, checkpoint.last_night) == expected else None
 
 

@@ -134,7 +134,7 @@ def _stage_motor(
             by_night[row["night"]].append(row)
     stage(staged_file(task.staging / "trends", motor_id), staged)
     path = checkpoint_file(task.staging, motor_id)
-    checkpoint = trends.course.checkpoint(key_of(nights.spec, motor.decisions))
+    checkpoint = trends.course.checkpoint(key_of(motor.trend_hash))
     with store_errors(path):
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(checkpoint.encoded())
