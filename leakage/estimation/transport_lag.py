@@ -11,7 +11,6 @@ at every lag alike.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -76,44 +75,53 @@ def transport_lag(
     place[index - first] = np.arange(len(index))
     here = index[chosen] - first
     # Of all samples of a day it would cost more than the search.
-    centre, spread = drivers[chosen].mean(axis=0), drivers[chosen].std(axis=0)
-    scale = centre, np.where(spread > 0.0, spread, 1.0)
+    columns = np.ascontiguousarray(drivers.T)
+    centre = drivers[chosen].mean(axis=0)[:, None]
+    spread = drivers[chosen].std(axis=0)
+    scale = np.array([*np.where(spread > 0.0, spread, 1.0), 1.0, 1.0])
 
-    @cache
-    def explained(lag: int, apart: int = 1) -> float:
-        return _explained(flow, drivers, scale, chosen[::apart], place[here[::apart] - lag])
+    def explained(lags: Places, apart: int = 1) -> Array:
+        own, at = chosen[::apart], here[::apart]
+        moments = np.array([_moments(flow, columns, centre, own, place[at - lag]) for lag in lags])
+        return _explained(moments / np.outer(scale, scale), len(own))
 
     apart = max(len(chosen) // ENOUGH_FOR_COARSE, 1)
-    every = range(zero - longest, zero + longest + 1, coarse)
-    likely = sorted(every, key=lambda lag: explained(lag, apart))[-LIKELY:]
-    near = max(likely, key=explained)
-    best = max(range(near - coarse, near + coarse + 1, fine), key=explained)
-    before, middle, after = (explained(best + step) for step in (-fine, 0, fine))
+    every = np.arange(zero - longest, zero + longest + 1, coarse)
+    likely = every[np.argsort(explained(every, apart), kind="stable")[-LIKELY:]]
+    near = likely[np.argmax(explained(likely))]
+    around = np.arange(near - coarse, near + coarse + 1, fine)
+    best = int(around[np.argmax(explained(around))])
+    settled = np.array([best - fine, best, best + fine, zero])
+    before, middle, after, unshifted = explained(settled).tolist()
     if min(before, middle, after) <= 0.0 or abs(best - zero) >= longest:
         return None
     bend = before - 2.0 * middle + after
     top = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     lag_s = paired_s + (best + fine * top) * period_s
-    return TransportLag(lag_s, middle - explained(zero))
+    return TransportLag(lag_s, middle - unshifted)
 
 
-def _explained(
-    flow: Array, drivers: Array, scale: tuple[Array, Array], chosen: Places, partner: Places
-) -> float:
-    """Return R² of the flow on the drivers at other places, -1: at none; 0 where these are few."""
+def _moments(flow: Array, columns: Array, centre: Array, chosen: Places, partner: Places) -> Array:
+    """Return sums of products of drivers at other places, -1: at none, of the flow, and of ones."""
     paired = partner >= 0
-    n = int(np.count_nonzero(paired))
-    if n < max(LEAST_SHARE * len(chosen), drivers.shape[1] + 2):
-        return 0.0
-    if n < len(chosen):
+    if not paired.all():
         chosen, partner = chosen[paired], partner[paired]
-    y, u = flow[chosen], (drivers[partner] - scale[0]) / scale[1]
-    means, mean = u.sum(axis=0) / n, y.mean()
-    total = float(y @ y - n * mean**2)
-    if total <= 0.0:
-        return 0.0
+    values = np.ones((len(columns) + 2, len(chosen)))
+    np.subtract(columns.take(partner, axis=1), centre, out=values[:-2])
+    values[-2] = flow[chosen]
+    products: Array = values @ values.T
+    return products
+
+
+def _explained(moments: Array, most: int) -> Array:
+    """Return R² of the flow on the drivers by each lag's moments; 0 where samples are few."""
+    n, sums = moments[:, -1, -1], moments[:, -1, :-1]
+    centred = (
+        moments[:, :-1, :-1] - sums[:, :, None] * sums[:, None] / np.maximum(n, 1.0)[:, None, None]
+    )
+    squares, products, total = centred[:, :-1, :-1], centred[:, :-1, -1], centred[:, -1, -1]
     # Of a motor at one load the drivers are nearly one and the same.
-    products = u.T @ y - n * mean * means
-    squares = u.T @ u - n * np.outer(means, means)
-    theta = np.linalg.lstsq(squares, products, rcond=1e-9)[0]
-    return float(products @ theta) / total
+    inverse = np.linalg.pinv(squares, rcond=1e-9, hermitian=True)
+    by_drivers = np.einsum("li,lij,lj->l", products, inverse, products)
+    enough = (n >= max(LEAST_SHARE * most, moments.shape[1])) & (total > 0.0)
+    return np.where(enough, by_drivers / np.where(enough, total, 1.0), 0.0)
