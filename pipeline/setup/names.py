@@ -36,6 +36,7 @@ USUAL: Mapping[str, tuple[float, float]] = {
 _USUAL_LOW_SIDE = (0.1, 100.0)
 
 _BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+_LABEL = re.compile(r"[{,]\s*\w+=\"([^\"]*)\"}?")
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _HIGHER = re.compile(r"(?<=[^\W\dA-Z_])(?=[A-Z])")
 _MARK = re.compile(r"[._/:|\\\s-]+")
@@ -100,6 +101,7 @@ def unit_in(name: str) -> str | None:
 
 def _unit_text(name: str) -> str:
     """The unit in a name, as its words have it; empty for none."""
+    name = _LABEL.sub("", name)
     bracketed = _BRACKETED.findall(name)
     behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
     words = [word for word in re.split(r"[\s_.]+", name) if word != "per"]
@@ -122,7 +124,8 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     words = words_of(_without_unit(name))
     quantities = list(_quantities(words, name))
     known_unit = unit_named(unit) or unit_in(name)
-    if known_unit is None and "temperature" in quantities:
+    is_of_oil = not quantities and is_in(words, "preferred", "oil_temperature")
+    if known_unit is None and (is_of_oil or "temperature" in quantities):
         last = next((word for word in reversed(words) if not is_in([word], "column", "part")), "")
         known_unit = unit_named(last) if last in ("c", "f", "k") else None
     stated = QUANTITY_OF.get(known_unit or "")
@@ -230,7 +233,9 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
     # Marks between words may differ from tag to tag of a motor.
     parts: dict[tuple[str, bool], dict[str, str]] = {}
     spelled: dict[tuple[str, bool], Counter[str]] = {}
-    for name in names:
+    for source in names:
+        # Of labels as of Prometheus, {motor="W1"}, the values name a motor.
+        name = _LABEL.sub(r" \1", source)
         hidden = _BRACKETED.sub(lambda match: "x" * len(match[0]), name)
         for begin, end in (mark.span() for mark in _MARK.finditer(hidden)):
             # What stands behind is the motor's as far as no unit follows.
@@ -241,7 +246,7 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
                 (tail, False, name[:begin] + unit),
             ):
                 key = _MARK.sub(".", text), is_head
-                parts.setdefault(key, {})[name] = rest
+                parts.setdefault(key, {})[source] = rest
                 spelled.setdefault(key, Counter())[text] += 1
     for (path, is_head), signals in parts.items():
         name = spelled[path, is_head].most_common(1)[0][0]
