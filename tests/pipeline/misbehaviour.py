@@ -10,7 +10,9 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.workers.process import reading, sign_of_life, still_alive
 
@@ -106,6 +108,56 @@ MISBEHAVIOUR: dict[str, Callable[[], None]] = {
         )
     },
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Misbehaving:
+    """In place of a run's stage for a motor: the stage, in which that motor misbehaves.
+
+    Here and not in a test's module, so that workers load no more than a run does.
+    """
+
+    motor_id: str
+    what: str
+    night: str = ""
+
+    def fit(self, task: Any) -> Any:
+        """Fit a motor's nights; one of them does what is said."""
+        import pipeline.run.motor_task as module
+
+        fit_night = module.fit_night
+
+        def fit_or_misbehave(spec: Any, here: Any, channels: Any) -> Any:
+            if (str(here.date), spec.motor_id) == (self.night, self.motor_id):
+                MISBEHAVIOUR[self.what]()
+            return fit_night(spec, here, channels)
+
+        module.fit_night = fit_or_misbehave
+        return module.run_motor(task)
+
+    def watch(self, task: Any) -> Any:
+        """Make trends; those of the motor do what is said."""
+        from pipeline.run.publishing import run_trends
+        from pipeline.trends.course import Course
+
+        step = Course.step
+
+        def step_or_misbehave(course: Course) -> None:
+            if course.spec.motor_id == self.motor_id:
+                MISBEHAVIOUR[self.what]()
+            step(course)
+
+        Course.step = step_or_misbehave  # type: ignore[method-assign]
+        return run_trends(task)
+
+
+def fit_with_pipes_as_files(task: Any) -> Any:
+    """Fit a motor to which a pipe looks like a file, as one on a mount that hangs does."""
+    import pipeline.logs.files
+    from pipeline.run.motor_task import run_motor
+
+    pipeline.logs.files.stat.S_ISREG = lambda _: True  # type: ignore[attr-defined]
+    return run_motor(task)
 
 
 def slow_by_items(items: int) -> int:

@@ -17,8 +17,7 @@ from pipeline.config import load_fleet
 from pipeline.logs.finding import find_logs
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
-from pipeline.run.motor_task import run_motor
-from pipeline.run.tasks import MotorTask
+from tests.pipeline.misbehaviour import fit_with_pipes_as_files
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -161,12 +160,6 @@ def test_a_folder_that_is_not_mounted_heals_no_failure(workshop: Workshop) -> No
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
 
 
-def opened_all_the_same(task: MotorTask) -> Any:
-    """A motor's task to which a pipe looks like a file, as one on a mount that hangs does."""
-    pipeline.logs.files.stat.S_ISREG = lambda _: True  # in the worker alone
-    return run_motor(task)
-
-
 def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,7 +170,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
         for night in (NIGHT, NIGHT + DAY):
             workshop.log(night, motor=motor)
     os.mkfifo(workshop.logs / f"{blocked}.parquet")
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", opened_all_the_same)
+    monkeypatch.setattr(pipeline.run.fleet, "run_motor", fit_with_pipes_as_files)
     result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
     m1, m2 = result.outcomes
     assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
