@@ -10,6 +10,7 @@ import datetime as dt
 import json
 import os
 import re
+import runpy
 import shutil
 import sqlite3
 import subprocess
@@ -18,6 +19,7 @@ from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import polars as pl
 import pytest
@@ -30,6 +32,7 @@ from pipeline.schema import LATEST
 from pipeline.trends.motor_states import MotorState
 from tests.pipeline.simulated import NIGHT, motor_toml
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
+from tests.scenarios.command import run_command
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 UNITS = sorted((EXAMPLES / "systemd").iterdir())
@@ -119,23 +122,18 @@ def test_nights_of_a_database_are_fitted_as_logs_are(tmp_path: Path) -> None:
             )
     script = EXAMPLES / "database" / "nights_to_parquet.py"
 
-    def run(*command: str | Path) -> str:
-        command = (sys.executable, *command)
-        done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True)
-        return done.stdout
-
     def write(*days: str) -> set[str]:
-        run(script, "plant.db", queried.logs.parent, *days)
+        words = [script.name, str(tmp_path / "plant.db"), str(queried.logs.parent), *days]
+        with patch.object(sys, "argv", words):
+            runpy.run_path(str(script), run_name="__main__")
         return {path.name for path in queried.logs.iterdir()}
 
     assert write() == set()  # the newest nights have no rows
     asked = write("--since", str(NIGHT - DAY), "--until", str(NIGHT))
     assert asked == {f"{NIGHT - DAY}.parquet", f"{NIGHT}.parquet"}
-    (seen,) = map(
-        json.loads, run("-m", "pipeline.cli", "check", queried.fleet, "--json").splitlines()
-    )
+    (seen,) = run_command("check", queried.fleet, "--json").lines
     assert (seen["n_nights"], seen["faults"]) == (2, [])
-    run("-m", "pipeline.cli", "fit-fleet", queried.fleet)
+    assert run_command("fit-fleet", queried.fleet).code == 0
     (logged.logs / f"{NIGHT + DAY}.parquet").unlink()
     logged.run()
     check_same_figures(queried, logged, "log_files")

@@ -47,10 +47,11 @@ def test_night_by_night_it_is_decided_as_at_once(
 ) -> None:
     by_night = unfitted.copy(tmp_path)
     for number in (5, 8, 10):
-        assert by_night.run("fit-fleet", "--until", by_night.label(number)).code == 0
+        until = ("--until", by_night.label(number))
+        assert by_night.run("fit-fleet", "--motors", "late", *until).code == 0
     for name in ("drain_delay_s", *FIGURES):
         assert column(by_night, "late", name) == column(fleet, "late", name)
-    assert "to be done: 0 nights" in by_night.run("fit-fleet", "--dry-run").out
+    assert "to be done: 0 nights" in by_night.run("fit-fleet", "--motors", "late", "--dry-run").out
 
 
 @covers("check --full", "explain", "fit")

@@ -218,7 +218,7 @@ def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
     """By a signal to the run and its workers, as a terminal sends it."""
     plant.output.rename(plant.folder / "before")
     plant.change("fleet.toml", '"sequential"', f'"{backend}"')
-    words = ("fit-fleet", "--motors", "broken worn", "--until", str(plant.label(10)))
+    words = ("fit-fleet", "--motors", "broken worn", "--until", str(plant.label(7)))
     command = [sys.executable, "-m", "pipeline.cli", words[0], str(plant.config), *words[1:]]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True
@@ -241,7 +241,7 @@ def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
     key = ["motor_id", "night", "parameter"]
     made, expected = (
         fleet.table("parameters")
-        .filter(pl.col("motor_id").is_in(["broken", "worn"]), pl.col("night") <= plant.label(10))
+        .filter(pl.col("motor_id").is_in(["broken", "worn"]), pl.col("night") <= plant.label(7))
         .drop(OF_RUNS)
         .sort(key)
         for fleet in (plant, shared_plant)

@@ -25,7 +25,7 @@ from tests.scenarios.test_fit_fleet import stage_of
 
 STAGES = ("publishing", "trends")
 OF_RUNS = ("runs", "run_motors")
-N, HELD_BACK = 16, (5, *range(12, 17))
+N, HELD_BACK = 13, (5, *range(10, 14))
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ def deliveries(fleet: ScenarioFleet) -> list[str]:
 
 @pytest.fixture(scope="module")
 def arriving(tmp_path_factory: pytest.TempPathFactory) -> Arriving:
-    """Five nights come at once, one of them late; in the last ones a motor's sleeve is damaged."""
+    """Nights come at once, one of them late; in the last ones a motor's sleeve is damaged."""
     folder = tmp_path_factory.mktemp("arriving")
-    motors = Simulated("calm"), Simulated("broken", step(SLEEVE, at=12, gap=0.15))
+    motors = Simulated("calm"), Simulated("broken", step(SLEEVE, at=10, gap=0.15))
     command = json.dumps(["/bin/sh", "-c", 'cat >> "$0"; echo >> "$0"', str(folder / "told")])
     settings = f"[alarms]\ncommand = {command}\n"
     fleet = make_fleet(folder, *motors, nights=N, minutes=30.0, settings=settings)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from pipeline.demo.fleet import SLEEVE
 from tests.scenarios.command import run_command
 from tests.scenarios.covering import covers
-from tests.scenarios.fleets import ScenarioFleet
+from tests.scenarios.fleets import SEQUENTIAL, ScenarioFleet
 
 ANSWERS = (
     "unit of pressure_difference=bar", "unit of oil_temperature=degC", "unit of speed=rpm",
@@ -68,6 +68,8 @@ def test_a_proposed_fleet_gives_the_figures_of_the_stated_one(plant: ScenarioFle
     assert [path.stem for path in (ask / "motors").iterdir()] == ["broken"]
     assert run_command("check", ask / "fleet.toml", folder=plant.folder).code == 0
     proposed = ScenarioFleet(ask, plant.motors, plant.plan)
+    with (ask / "fleet.toml").open("a", encoding="utf-8") as file:
+        file.write(SEQUENTIAL)
     assert run_command("fit-fleet", ask / "fleet.toml", folder=plant.folder).code == 0
     mine, stated = proposed.newest("broken"), plant.newest("broken")
     assert (mine["state"], mine["cause"]) == ("warning", SLEEVE)

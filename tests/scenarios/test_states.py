@@ -91,6 +91,8 @@ def test_a_change_of_the_oil_that_is_stated_carries_the_baseline_across(
 def test_a_motor_without_logs_is_stale(plant: ScenarioFleet) -> None:
     for number in range(12, 21):
         plant.log("calm", number).unlink()
+    for number in range(1, 19):
+        plant.log("broken", number).unlink()
     plant.output.rename(plant.folder / "before")
     assert plant.run("fit-fleet", "--motors", "calm broken").code == 0
     newest = plant.newest("calm")

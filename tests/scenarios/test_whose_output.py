@@ -75,7 +75,7 @@ def test_a_restored_state_file_costs_nothing_that_is_published_or_said(
     for path in plant.output.glob("state.db-*"):
         path.unlink()
     shutil.copy(old, plant.output / "state.db")
-    done = plant.run("fit-fleet")
+    done = plant.run("fit-fleet", "--motors", "broken")
     assert done.code == 0, done.err
     for name, rows in before.items():
         assert_frame_equal(plant.table(name).drop("run_id"), rows, check_row_order=False)
@@ -97,14 +97,14 @@ def test_a_motor_that_is_gone_stays_until_a_person_confirms_it(plant: ScenarioFl
     assert before["state"] in row["sentence"]
     assert before["sentence"] in row["sentence"]
     assert "broken\tremoved\t" in plant.run("status").out
-    plant.run("report")
+    plant.run("report", "--nights", 1)
     assert '<li data-motor="broken">' in (plant.output / "report" / "index.html").read_text("utf-8")
     page = plant.output / "report" / "motors" / "broken.html"
     assert before["sentence"][1:] in page.read_text("utf-8")
     assert "in the config no more" not in plant.run("fit-fleet", process=True).err  # said once
     assert plant.run("ack", "broken", "--note", "scrapped").code == 0
     assert "broken" not in plant.run("status").out
-    plant.run("report")
+    plant.run("report", "--nights", 1)
     assert not page.exists()
     plant.run("fit-fleet")
     assert "broken" not in plant.table("latest")["motor_id"].to_list()
