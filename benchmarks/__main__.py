@@ -19,11 +19,11 @@ def main(arguments: list[str]) -> int:
     """Run the named benchmark, or all."""
     name, options = (arguments or [""])[0], arguments[1:]
     if name not in (*BENCHMARKS, "all"):
-        lines = [f"{one:12} {title}\n" for one, title in BENCHMARKS.items()]
+        lines = [f"{known:12} {title}\n" for known, title in BENCHMARKS.items()]
         sys.stdout.writelines(["python -m benchmarks NAME [OPTIONS] | all\n\n", *lines])
         return 2 if name else 0
-    names = [one for one in BENCHMARKS if one != "guard"] if name == "all" else [name]
-    ended = [importlib.import_module(f"benchmarks.{one}").main(options) for one in names]
+    names = [known for known in BENCHMARKS if known != "guard"] if name == "all" else [name]
+    ended = [importlib.import_module(f"benchmarks.{name}").main(options) for name in names]
     return next(filter(None, ended), 0)
 
 

@@ -1,4 +1,4 @@
-"""Fleets of motors that each have a log of one simulated day, for benchmarks of whole runs."""
+"""Fleets of motors that each have a log of a simulated day, for benchmarks of whole runs."""
 
 from __future__ import annotations
 

@@ -54,22 +54,22 @@ def main(options: Sequence[str] = ()) -> int:
     update = parser.parse_args(list(options)).update
     command = [sys.executable, "-m", __name__]
     text = subprocess.check_output(command, text=True, env={**os.environ, **ONE_THREAD})
-    found: dict[str, float] = json.loads(text.splitlines()[-1])
+    ratios: dict[str, float] = json.loads(text.splitlines()[-1])
     if update or not COMMITTED.exists():
-        COMMITTED.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    return told(found, json.loads(COMMITTED.read_text("utf-8")))
+        COMMITTED.write_text(json.dumps(ratios, indent=1) + "\n", "utf-8")
+    return compare(ratios, json.loads(COMMITTED.read_text("utf-8")))
 
 
-def told(found: Mapping[str, float], before: Mapping[str, float]) -> int:
-    """Say how figures compare with those before; 1 where one fails, else 0.
+def compare(ratios: Mapping[str, float], before: Mapping[str, float]) -> int:
+    """Print how ratios compare with those before; return 1 where any fails, else 0.
 
     Parameters
     ----------
-    found, before
-        Ratios by what they are of; one that was not there before is compared with nothing.
+    ratios, before
+        By what they are of; a ratio that was not there before is compared with nothing.
     """
     worst = 0.0
-    for what, ratio in found.items():
+    for what, ratio in ratios.items():
         change = ratio / before.get(what, ratio)
         worst = max(worst, change)
         verdict = "FAILED" if change > FAIL else "warning" if change > WARN else "ok"
@@ -81,7 +81,7 @@ def measured() -> dict[str, float]:
     """All figures: medians over the rounds of each part, over those of its yardstick."""
     with tempfile.TemporaryDirectory() as folder:
         cases = _cases(Path(folder))
-        # The first round is for what is loaded and kept at the first time.
+        # The first round is for what is loaded and cached at the first time.
         rounds = [[_ratio(case) for case in cases] for _ in range(ROUNDS + 1)][1:]
     ratios = zip(*rounds, strict=True)
     return {
@@ -142,8 +142,8 @@ def _cases(folder: Path) -> list[Case]:
         return run_motor(a_day.task(a_day.specs[0], Path(tempfile.mkdtemp(dir=folder))))
 
     def reading(name: str) -> Callable[[], object]:
-        (one,) = fleets[name].motors
-        return lambda: read_log(logs[name], one.file.logs, one.file.channels)
+        (motor,) = fleets[name].motors
+        return lambda: read_log(logs[name], motor.file.logs, motor.file.channels)
 
     def fastest(name: str) -> Callable[[], object]:
         return lambda: READERS[name](logs[name])

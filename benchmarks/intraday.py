@@ -70,23 +70,24 @@ def until(night: NightBlocks, n: int) -> NightBlocks:
     return NightBlocks(night.day, *(part[:n] for part in parts))
 
 
-def row(name: str, found: list[Day]) -> str:
+def row(name: str, checked: list[Day]) -> str:
     """A line of the table; the rate goes by the exponential tail of the largest tenth."""
-    lower = np.sort([day.lower for day in found])[::-1]
+    lower = np.sort([day.lower for day in checked])[::-1]
     tenth = lower[: max(len(lower) // 10, 2)]
     scale = max(float(tenth.mean() - tenth[-1]), 1e-9)
     rate = 36.5 * np.exp(-(INTRADAY_LEAST_RISE - tenth[-1]) / scale)
-    reported, evidence = sum(day.is_reported for day in found), max(day.evidence for day in found)
+    reported = sum(day.is_reported for day in checked)
+    evidence = max(day.evidence for day in checked)
     return (
-        f"| {name} | {len(found)} | {reported} | {evidence:.1f} | {100 * lower[0]:+.1f} % "
+        f"| {name} | {len(checked)} | {reported} | {evidence:.1f} | {100 * lower[0]:+.1f} % "
         f"| {rate:.1g} |"
     )
 
 
-def text(found: dict[str, list[Day]]) -> str:
+def text(plants: dict[str, list[Day]]) -> str:
     """The page of results."""
-    every = [day for some in found.values() for day in some]
-    rows = [row(name, some) for name, some in {**found, "all": every}.items()]
+    every = [day for checked in plants.values() for day in checked]
+    rows = [row(name, checked) for name, checked in {**plants, "all": every}.items()]
     return "\n".join(
         [
             "# Intraday check on healthy days\n",
@@ -106,9 +107,10 @@ def main(options: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks intraday")
     parser.add_argument("--seeds", type=int, default=8)
     seeds = range(FIRST_SEED, FIRST_SEED + parser.parse_args(options).seeds)
-    found = {
+    checked = {
         name: [day for seed in seeds for day in days(plant, seed)] for name, plant in PLANTS.items()
     }
-    RESULTS.write_text(text(found), "utf-8")
-    sys.stdout.write(text(found))
+    page = text(checked)
+    RESULTS.write_text(page, "utf-8")
+    sys.stdout.write(page)
     return 0

@@ -1,6 +1,6 @@
 """Just to read logs, as fast as can be: a process of its own for benchmarks.
 
-`python -m benchmarks.log_readers FORMAT FILE...` reads the files into columns, one after the other.
+`python -m benchmarks.log_readers FORMAT FILE...` reads the files into columns, in turn.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def read_csv(path: Path) -> object:
 def read_mcap(path: Path) -> object:
     """JSON of chunked files, nothing checked: no reader of a package comes near.
 
-    The `mcap` package finds the chunks. Its records one by one take twenty times as long, and a
+    The `mcap` package finds the chunks. Its single records take twenty times as long, and a
     walk from length to length in Python five times.
     """
     from mcap.data_stream import ReadDataStream
     from mcap.reader import make_reader
     from mcap.records import Chunk
 
-    found = []
+    columns = []
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
         for index in summary.chunk_indexes if summary else ():
@@ -47,8 +47,8 @@ def read_mcap(path: Path) -> object:
             codec = pa.Codec(chunk.compression)
             records = codec.decompress(chunk.data, chunk.uncompressed_size, asbytes=True)
             file.seek(index.chunk_start_offset + index.chunk_length)
-            found.append(_columns(records, _positions(file.read(index.message_index_length))))
-    return found
+            columns.append(_columns(records, _positions(file.read(index.message_index_length))))
+    return columns
 
 
 def _positions(indexes: bytes) -> Any:

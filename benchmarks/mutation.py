@@ -1,9 +1,9 @@
 """Faults planted in the code, and how many the nearest tests find.
 
 A sample of small faults (an operator, a comparison, a number, a loop that does not run) by
-cosmic-ray's operators, as many in each area: one at most at a place of the text, chosen by a hash
+cosmic-ray's operators, as many in each area: at most one at a place of the text, chosen by a hash
 of its function and operator, so that a change elsewhere leaves the sample as it is. Each is planted
-in a copy of the project, and the tests nearest to its module run until one fails or their time is
+in a copy of the project, and the tests nearest to its module run until any fails or their time is
 up. What survives is listed with its reason, by hand, from `benchmarks/mutation.toml`, which names
 the function, the operator, and which of the operator's places in that function it is.
 """
@@ -87,7 +87,7 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args(list(options))
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    found: dict[str, Any] = json.loads(FOUND.read_text("utf-8"))
+    results: dict[str, Any] = json.loads(FOUND.read_text("utf-8"))
     fork = multiprocessing.get_context("forkserver")
     fork.set_forkserver_preload([__name__, "polars", "pyarrow.parquet", "pydantic", "scipy.stats"])
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(asked.jobs) as pool:
@@ -115,10 +115,10 @@ def main(options: Sequence[str] = ()) -> None:
             tests = {test for fault in planted for test in _tests(fault.module, area)}
             if not passes(copies[0], sorted(tests)):
                 parser.exit(1, f"{area}: a test fails without a fault\n")
-            found |= {area: list(pool.map(tried, planted))}
-            lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in found.items())
+            results |= {area: list(pool.map(tried, planted))}
+            lines = (f'"{of}": {json.dumps(r, ensure_ascii=False)}' for of, r in results.items())
             FOUND.write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
-    show([made(), *_tables(found)], RESULTS / "mutation.md")
+    show([made(), *_tables(results)], RESULTS / "mutation.md")
 
 
 def _copy(folder: Path) -> Path:
@@ -237,10 +237,10 @@ def _run(folder: Path, tests: list[str]) -> None:
     os._exit(0)
 
 
-def _tables(found: dict[str, Any]) -> Iterator[Table]:
-    every = [fault for faults in found.values() for fault in faults]
+def _tables(results: dict[str, Any]) -> Iterator[Table]:
+    every = [fault for faults in results.values() for fault in faults]
     rows: list[Row] = []
-    for area, faults in (*found.items(), ("all", every)):
+    for area, faults in (*results.items(), ("all", every)):
         n, n_found = len(faults), sum(fault["found"] for fault in faults)
         rows.append({
             "area": area, "faults": str(n), "found": str(n_found), "share": f"{n_found / n:.0%}"

@@ -56,10 +56,10 @@ def _hundred(folder: Path, name: str, passes: int) -> list[Row]:
             shutil.rmtree(output, ignore_errors=True)
             costs[case].append(_cost(commands, {} if "worker" in case else ONE_THREAD))
     medians = {case: [*map(statistics.median, zip(*of, strict=True))] for case, of in costs.items()}
-    reading, one, two = (elapsed for elapsed, _ in medians.values())
+    reading, alone, two = (elapsed for elapsed, _ in medians.values())
     tables = (output / "tables" / "run_motors").rglob("*.parquet")
     outcomes = pl.concat(map(pl.read_parquet, tables))
-    ratios = {"over reading": f"{two / reading:.1f}", "faster": f"{one / two:.2f}"}
+    ratios = {"over reading": f"{two / reading:.1f}", "faster": f"{alone / two:.2f}"}
     of_two = {**ratios, "largest worker": f"{outcomes['peak_memory_mib'].to_numpy().max():.0f} MiB"}
     return [
         {

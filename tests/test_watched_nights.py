@@ -67,34 +67,34 @@ def test_what_is_true_of_a_machine_is_what_its_physics_says(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def steady(_: object, __: object, nights: int, ___: object) -> Duty:
-        return Duty(*(np.full((360, nights), one) for one in AT))
+        return Duty(*(np.full((360, nights), value) for value in AT))
 
     machine, (gaps, rest, power) = MACHINES[name], BY_HAND[name]
     monkeypatch.setattr(type(machine), "duty", steady)
     churning = 0.0025 * 6.0 if name == "winch" else 0.0
     wear, viscosity, gain = np.array([[1, 1.25, 1, 1], [1, 1, 0.8, 1], [1, 1, 1, 1.06]])
     state = State(wear=wear, viscosity=viscosity, gain=gain)
-    found = history(machine, lambda _: state, (4,), 4)
+    watched = history(machine, lambda _: state, (4,), 4)
     thinned = gaps + (rest if name == "winch" else 0.0)
     whole = gaps + rest + churning
     expected = [0.0, 0.25 * gaps / whole, (0.8**-power - 1.0) * thinned / whole, 0.06]
-    assert found.change == pytest.approx(expected)
-    assert found.newest_night == pytest.approx(expected)
+    assert watched.change == pytest.approx(expected)
+    assert watched.newest_night == pytest.approx(expected)
 
 
 def test_every_cell_can_be_made() -> None:
     for cell in CELLS.values():
         if cell.group != RIG:
-            for one in cell.make((5,), 2):
-                assert [night.flow.min() >= 0.0 for night in one.nights] == [True, True]
-                assert one.change.shape == one.newest_night.shape == (2,)
+            for course in cell.make((5,), 2):
+                assert [night.flow.min() >= 0.0 for night in course.nights] == [True, True]
+                assert course.change.shape == course.newest_night.shape == (2,)
 
 
-def test_a_break_is_told_in_all_tables_that_have_it() -> None:
+def test_a_break_stands_in_all_tables_that_have_it() -> None:
     cell = CELLS["wear; a sleeve breaks: its flow × 3; as modelled; 8"]
-    found = {cell.key: [outcome(cell, 0, TRIAL, {})]}
-    rows = {table.name: table.rows for table in tables(CELLS, found)}
-    (row,) = rows["what was told"]
+    outcomes = {cell.key: [outcome(cell, 0, TRIAL, {})]}
+    rows = {table.name: table.rows for table in tables(CELLS, outcomes)}
+    (row,) = rows["reported changes"]
     assert row["nights"] in ("1 (1)", "2 (2)", "3 (3)")
     assert row["names"] == "1/0/0"
     assert rows["since and size"]

@@ -1,6 +1,6 @@
-"""The watch over a motor's nights, beside simpler methods: measures cells, keeps what was found.
+"""The watch over a motor's nights, beside simpler methods: measures cells, stores the outcomes.
 
-`benchmarks/results/watch.json` keeps it, a cell a line; the tables of all go into
+`benchmarks/results/watch.json` has them, a cell a line; the tables of all go into
 `benchmarks/results/watch.md` and the README.
 """
 
@@ -40,7 +40,7 @@ def main(options: Sequence[str] = ()) -> None:
     parser.add_argument("--only", default="*", help="cells whose name matches, or limits")
     parser.add_argument("--motors", type=int, help="at most so many of each cell")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--trial", action="store_true", help="seeds of trials; nothing is kept")
+    parser.add_argument("--trial", action="store_true", help="seeds of trials; nothing is stored")
     asked = parser.parse_args(list(options))
     known = cells()
     tasks = [
@@ -54,38 +54,38 @@ def main(options: Sequence[str] = ()) -> None:
         store(LIMITS, _limits(list(run(map(joblib.delayed(_highest), range(CALIBRATED_ON))))))
     of = {"base": TRIAL if asked.trial else FRESH, "limits": stored().get(LIMITS, {})}
     results = run(joblib.delayed(outcome)(known[key], number, **of) for key, number in tasks)
-    found: dict[str, list[Outcome]] = {}
+    outcomes: dict[str, list[Outcome]] = {}
     for key, motors in groupby(zip(tasks, results, strict=True), lambda pair: pair[0][0]):
-        found[key] = [motor for _, motor in motors]
+        outcomes[key] = [motor for _, motor in motors]
         sys.stderr.write(f"{key}\n")
         if not asked.trial:
-            store(key, found[key])
+            store(key, outcomes[key])
     if asked.trial:
-        show(tables(known, found), None)
+        show(tables(known, outcomes), None)
     else:
         show([made(), *tables(known, stored())], RESULTS / "watch.md")
         show([readme(known, stored())], RESULTS.parents[1] / "README.md")
 
 
 def stored() -> dict[str, Any]:
-    """All that runs have found so far, by cell."""
+    """Return all outcomes of runs so far, by cell."""
     file = RESULTS / "watch.json"
-    found: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
-    return found
+    cells: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    return cells
 
 
-def store(cell: str, found: object) -> None:
-    """Keep what was found of a cell beside the others."""
-    cells = (stored() | {cell: found}).items()
-    lines = (f'"{one}": {json.dumps(of, ensure_ascii=False)}' for one, of in cells)
+def store(cell: str, outcomes: object) -> None:
+    """Store the outcomes of a cell beside the others'."""
+    cells = (stored() | {cell: outcomes}).items()
+    lines = (f'"{key}": {json.dumps(of, ensure_ascii=False)}' for key, of in cells)
     (RESULTS / "watch.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", "utf-8")
 
 
 def _highest(number: int) -> dict[str, Array]:
     """Highest distance so far, by night and method, of a motor to which nothing happens."""
     nights = history(OTHERWISE, NOTHING.course, (CALIBRATION, number), YEAR).nights
-    found = charts(nights, BASELINE).items()
-    return {method: np.maximum.accumulate(values[BASELINE:]) for method, values in found}
+    distances = charts(nights, BASELINE).items()
+    return {method: np.maximum.accumulate(values[BASELINE:]) for method, values in distances}
 
 
 def _limits(motors: Sequence[dict[str, Array]]) -> dict[str, float]:

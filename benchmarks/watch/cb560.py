@@ -100,8 +100,8 @@ class CB560(Machine):
             flow = np.where(state.vg46, self._of_paths(VG46, duty, state), flow)
         flow *= 1.0 + self.per_kelvin * (duty.temperature_c - 55.0)
         low = flow * np.exp(-3e5 * duty.pressure_bar / RING_PA)
-        found: Array = flow + low * state.ring_like * (flow.sum(axis=0) / low.sum(axis=0))
-        return found
+        with_ring: Array = flow + low * state.ring_like * (flow.sum(axis=0) / low.sum(axis=0))
+        return with_ring
 
     def _of_paths(self, oil: Oil, duty: Duty, state: State) -> Array:
         n, nights = duty.pressure_bar.shape
@@ -114,8 +114,8 @@ class CB560(Machine):
         ):
             theta[:, column] *= state.wear * factor
         theta[:, [0, 1, 2, 4]] /= np.reshape(state.viscosity, (-1, 1))
-        found: Array = np.einsum("kni,ki->nk", columns, theta)
-        return found
+        flow: Array = np.einsum("kni,ki->nk", columns, theta)
+        return flow
 
     def errors(self, seed: Sequence[int], n: int, nights: int) -> Errors:
         """Short and slow ones of the flow, and the wander."""

@@ -1,4 +1,4 @@
-"""All cells: motors to which the same happens, and what may be said of it."""
+"""All cells: motors to which the same happens, and causes that may be named."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ Of = Machine | Callable[[Seed], Sequence[History]]
 FLOWS, GAPS, GRADE = ("all_flows",), ("all_gaps",), ("oil_grade",)
 SENSOR, WARMTH = ("temperature_sensor",), ("temperature_effect",)
 # Of what is otherwise: causes that are true, and those that say less than the truth and nothing
-# false. Of load, speed and a slow drain nothing may be said.
-SAID: Mapping[str, tuple[Names, Names]] = {
+# false. Of load, speed and a slow drain nothing may be named.
+CAUSES: Mapping[str, tuple[Names, Names]] = {
     **{path: ((path,), ()) for path in PATHS},
     "wear": (GAPS, FLOWS),
     "viscosity": (FLOWS + GRADE, ()),
@@ -60,7 +60,7 @@ SAID: Mapping[str, tuple[Names, Names]] = {
 
 @dataclass(frozen=True)
 class Event:
-    """What happens to a motor, and what may be said of it."""
+    """What happens to a motor, and the causes that may be named."""
 
     course: Course
     nights: int
@@ -134,10 +134,10 @@ def change(
 
 
 def happens(nights: int, begin: int = CHANGE, **of: Any) -> Event:
-    """A change, and what may be said of what goes to another value."""
-    changed = [name for name in of if name in SAID]
-    right = tuple(name for one in changed for name in SAID[one][0])
-    near = tuple(name for one in changed for name in SAID[one][1])
+    """A change, and the causes that may be named for what goes to another value."""
+    changed = [name for name in of if name in CAUSES]
+    right = tuple(cause for name in changed for cause in CAUSES[name][0])
+    near = tuple(cause for name in changed for cause in CAUSES[name][1])
     if "every" in of:
         right, near = ("odd_nights",), ()
     elif len(changed) > 1:
@@ -146,12 +146,12 @@ def happens(nights: int, begin: int = CHANGE, **of: Any) -> Event:
     return Event(change(begin, **of), nights, begin, right, near)
 
 
-def both(one: Course, other: Course) -> Course:
+def both(first: Course, second: Course) -> Course:
     """Two changes: factors multiply, others add."""
 
     def course(night: Array) -> State:
         pairs = {
-            of.name: (getattr(one(night), of.name), getattr(other(night), of.name), of.default)
+            of.name: (getattr(first(night), of.name), getattr(second(night), of.name), of.default)
             for of in fields(State)
         }
         return State(**{name: a * b if at else a + b for name, (a, b, at) in pairs.items()})
@@ -312,10 +312,10 @@ STORIES = {
     "meter +6 %": happens(60, 30, gain=1.06),
     "wear, a step": happens(60, 30, wear=1.25),
     "the season, and a step of wear": Event(
-        both(warming, change(45, wear=1.18)), 100, 45, *SAID["wear"]
+        both(warming, change(45, wear=1.18)), 100, 45, *CAUSES["wear"]
     ),
     "the season, and wear in 70 nights": Event(
-        both(warming, change(20, 70, wear=1.35)), 100, 20, *SAID["wear"]
+        both(warming, change(20, 70, wear=1.35)), 100, 20, *CAUSES["wear"]
     ),
     "wear in 8 nights": happens(50, 20, over=8, wear=1.4),
     "wear in 45 nights, then a repair": happens(90, 15, over=45, until=60, wear=1.3),
@@ -345,7 +345,7 @@ class Group(NamedTuple):
         """In the order of the page."""
         for machine, of in self.machines.items():
             for baseline, (words, event) in product(self.baselines, self.events.items()):
-                # What users would make is beside it on one machine.
+                # What users would make is beside it on a single machine.
                 is_first = self.name in ("wear", "no wear") or (self.name, words) == PLAIN
                 rivals = is_first and of is OTHERWISE and baseline == BASELINE
                 yield Cell(self.name, words, machine, of, event, self.motors, baseline, rivals)

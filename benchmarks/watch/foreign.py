@@ -77,8 +77,8 @@ class Mill(Foreign):
         mpa_s = 0.0573 * np.exp(962.0 / (temperature + 98.7)) * state.viscosity
         gaps = self.GAP * state.wear * (pressure + 2.0 * self.CHARGE_BAR) / mpa_s
         bleed = self.BLEED * np.sqrt(pressure + self.CHARGE_BAR)
-        found: Array = gaps + self.DRAG * speed + bleed
-        return found
+        flow: Array = gaps + self.DRAG * speed + bleed
+        return flow
 
 
 class Winch(Foreign):
@@ -118,14 +118,14 @@ class Winch(Foreign):
         mpa_s = 47.0 * np.exp(-0.041 * warmer + 0.00012 * warmer**2 + 0.0017 * pressure)
         gaps = self.GAP * state.wear * (1.0 + self.GROWS_PER_K * warmer) ** 3
         drive = pressure / (mpa_s * state.viscosity)
-        found: Array = (gaps + self.PLATE * np.sqrt(pressure)) * drive + self.CHURNING * speed
-        return found
+        flow: Array = (gaps + self.PLATE * np.sqrt(pressure)) * drive + self.CHURNING * speed
+        return flow
 
 
 class Conveyor(Foreign):
     """A conveyor's drives: steady, outdoors, several on a tank.
 
-    Oil of Andrade's law. Leakage between a laminar and a turbulent one, of pressure to the 1.15 and
+    Oil of Andrade's law. Leakage between laminar and turbulent, of pressure to the 1.15 and
     viscosity to the −0.85, and a part that the speed pumps to the case.
     """
 
@@ -133,7 +133,7 @@ class Conveyor(Foreign):
     PUMPED = 0.0016  # l/min of 1 rpm, to the 1.3
 
     def duty(self, generator: Generator, nights: int, state: State) -> Duty:
-        """A belt of one speed, or nearly, its load new in a quarter of an hour; oil of the day."""
+        """A belt of nearly constant speed, its load new in a quarter of an hour; oil of the day."""
         level = generator.uniform(95.0, 125.0, nights)
         belt = levels(generator, ROWS, nights, 900.0, 120.0)
         belt = belt + 0.3 * levels(generator, ROWS, nights, 60.0, 5.0)
@@ -147,8 +147,8 @@ class Conveyor(Foreign):
         pressure, temperature, speed = duty
         mpa_s = 60.0 * np.exp(5150.0 * (1.0 / (temperature + 273.15) - 1.0 / 313.15))
         gaps = self.GAP * state.wear * pressure**1.15 / (mpa_s * state.viscosity) ** 0.85
-        found: Array = gaps + self.PUMPED * speed**1.3
-        return found
+        flow: Array = gaps + self.PUMPED * speed**1.3
+        return flow
 
 
 MACHINES: Mapping[str, Machine] = {

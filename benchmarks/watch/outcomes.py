@@ -1,4 +1,4 @@
-"""What is kept of a motor of a cell: what was detected of it beside the truth, in numbers."""
+"""The outcome of a motor of a cell: what was detected beside the truth, in numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Outcome = dict[str, Any]
 
 
 def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> Outcome:
-    """Of one motor of a cell: a seed of its own, by cell and number."""
+    """Return that of a motor of a cell, with its own seed by cell and number."""
     event = cell.event
     histories = cell.make((base, crc32(cell.key.encode()), number), event.nights)
     watch, verdicts = _watched(histories, cell.baseline)
@@ -36,16 +36,17 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     history = histories[0]
     at_first = 1.0 + history.change[: cell.baseline].mean()
     newest_night, change = (
-        (1.0 + one) / at_first - 1.0 for one in (history.newest_night, history.change)
+        (1.0 + true) / at_first - 1.0 for true in (history.newest_night, history.change)
     )
     reached = np.flatnonzero(np.abs(history.change) >= REACHED)
     is_reached = len(reached) and event.begin is not None and "odd_nights" not in event.right
-    said: dict[int, list[tuple[int, Change]]] = {}
+    reported: dict[int, list[tuple[int, Change]]] = {}
     for verdict in verdicts:
         if verdict.change is not None:
-            said.setdefault(verdict.change.detected_on, []).append((verdict.day, verdict.change))
-    found = {
-        "told": [_told(detected_on, of, change, cell) for detected_on, of in said.items()],
+            dated = (verdict.day, verdict.change)
+            reported.setdefault(verdict.change.detected_on, []).append(dated)
+    result = {
+        "reported": [_reported(first, of, change, cell) for first, of in reported.items()],
         "tonight": [*_missed(verdicts, newest_night), *_missed(verdicts, change)],
         "lack": round(verdicts[0].lack_of_fit, 4),
         "reached": int(reached[0]) if is_reached else None,
@@ -53,7 +54,7 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
     if cell.group == "laminar":
         # At reference conditions, and at the motor's own.
         first = np.concatenate([night.conditions for night in history.nights[: cell.baseline]])
-        found["leakages"] = [_leakage(watch, at) for at in (REFERENCE, np.median(first, axis=0))]
+        result["leakages"] = [_leakage(watch, at) for at in (REFERENCE, np.median(first, axis=0))]
     if cell.has_rivals:
         begin = max(cell.baseline, event.begin or 0)
         raised = {
@@ -61,14 +62,14 @@ def outcome(cell: Cell, number: int, base: int, limits: Mapping[str, float]) -> 
             for method, values in charts(history.nights, cell.baseline).items()
         }
         # Night of the first alarm since the change, 1 being its first, or since the baseline.
-        found["rivals"] = {
+        result["rivals"] = {
             method: int(nights[0]) + 1 if len(nights) else None for method, nights in raised.items()
         }
-    return found
+    return result
 
 
 def _watched(histories: Sequence[History], baseline: int) -> tuple[Watch, list[Verdict]]:
-    """The watch of the first motor after its last night, and what it said of each.
+    """Return the watch of the first motor after its last night, and its verdict of each.
 
     What the others of its tank say of all flows is known to it.
     """
@@ -93,12 +94,15 @@ def _earlier(nights: Sequence[NightBlocks], day: int) -> Sequence[NightBlocks]:
     return [night for night in nights if night.day >= day]
 
 
-def _told(detected_on: int, said: Sequence[tuple[int, Change]], true: Array, cell: Cell) -> Outcome:
+def _reported(
+    detected_on: int, verdicts: Sequence[tuple[int, Change]], true: Array, cell: Cell
+) -> Outcome:
     """A change as it was detected, and ten nights later; a notice, once it becomes an alarm."""
-    alarms = [one for one in said if one[1].cause not in NOTICES]
-    night, first = (alarms or said)[0]
-    last, settled = [one for one in said if one[0] <= max(detected_on + SETTLED, night)][-1]
-    # Told against the nights before its begin, or against the baseline.
+    alarms = [(day, change) for day, change in verdicts if change.cause not in NOTICES]
+    night, first = (alarms or verdicts)[0]
+    until = max(detected_on + SETTLED, night)
+    last, settled = [(day, change) for day, change in verdicts if day <= until][-1]
+    # Sized against the nights before its begin, or against the baseline.
     begin = cell.event.begin or 0
     before = true[begin - 1] if begin > cell.baseline else 0.0
     return {
@@ -108,13 +112,13 @@ def _told(detected_on: int, said: Sequence[tuple[int, Change]], true: Array, cel
         "first": _named(first),
         "cause": _named(settled),
         "since": [settled.since_lower, settled.since, settled.since_upper],
-        "size": [round(one, 4) for one in _with_interval(settled.size)],
+        "size": [round(value, 4) for value in _with_interval(settled.size)],
         "true": round(float((1.0 + true[last]) / (1.0 + before) - 1.0), 4),
     }
 
 
 def _named(change: Change) -> list[object]:
-    """The cause that is told, the likeliest, and the probability."""
+    """Return the cause that is named, the likeliest, and the probability."""
     likeliest = max(change.candidates, key=change.candidates.__getitem__, default=change.cause)
     return [change.cause, likeliest, round(change.probability, 3)]
 
@@ -128,10 +132,11 @@ def _missed(verdicts: Sequence[Verdict], true: Array) -> tuple[float, float]:
 
 
 def _leakage(watch: Watch, at: Array) -> list[float]:
-    """By the level of the last night over the true one, less 1, with its interval."""
+    """By the level of the last night over the truth, less 1, with its interval."""
     drives, true = drives_and_leakage(LAMINAR, at)
-    return [round(one / true - 1.0, 4) for one in _with_interval(watch.leakage_at(drives, at))]
+    leakage = _with_interval(watch.leakage_at(drives, at))
+    return [round(value / true - 1.0, 4) for value in leakage]
 
 
-def _with_interval(found: Estimate) -> tuple[float, float, float]:
-    return found.value, found.lower, found.upper
+def _with_interval(estimate: Estimate) -> tuple[float, float, float]:
+    return estimate.value, estimate.lower, estimate.upper

@@ -43,17 +43,17 @@ WATCHED = Machine(("all_gaps", "flushing"), ("all_gaps",), (46.0, 6.8))
 def nights_of_record(
     minutes: int, nights: int, is_mixed: bool, seed: Sequence[int], begin: int | None
 ) -> Sequence[History]:
-    """So many nights of the record with more leakage from one on; a seed is for their order."""
+    """So many nights of the record with more leakage from `begin` on; a seed is for their order."""
     cut = list(_nights(minutes, nights))
     if is_mixed:
         cut = [cut[at] for at in np.random.default_rng([*seed]).permutation(len(cut))]
     worn = range(len(cut) if begin is None else begin, len(cut))
     more = np.where(np.isin(np.arange(len(cut)), worn), MORE, 1.0)
-    seen = (replace(one, day=day, flow=more[day] * one.flow) for day, one in enumerate(cut))
+    seen = (replace(night, day=day, flow=more[day] * night.flow) for day, night in enumerate(cut))
     return [History(WATCHED, tuple(seen), more - 1.0, more - 1.0)]
 
 
-# Minutes and number of nights, which overlap or come one after another.
+# Minutes and number of nights, which overlap or follow each other.
 CUTS = (
     ("27 nights of 10 min, one after another", 27, partial(nights_of_record, 10, 27, False)),
     ("90 nights of 60 min that overlap", 90, partial(nights_of_record, 60, 90, False)),

@@ -1,6 +1,6 @@
 """Watches that users would make of the same stored blocks, each with a limit to be calibrated.
 
-Each gives one figure a night: the night's mean drain flow, or that over what a model of the
+Each gives a figure a night: the night's mean drain flow, or that over what a model of the
 baseline's blocks expects of it. Its scatter is that of the baseline's nights, of which each was
 expected by a model of the others (five parts), so that no model is judged by what it has learnt.
 """
@@ -35,8 +35,8 @@ def regression(inputs: Array, flow: Array) -> Callable[[Array], Array]:
         ones = np.ones(len(drive))
         return np.column_stack([ones, drive, pressure, drive * pressure, drive * speed])
 
-    found, *_ = np.linalg.lstsq(columns(inputs), flow, rcond=None)
-    return lambda of: columns(of) @ found
+    coefficients, *_ = np.linalg.lstsq(columns(inputs), flow, rcond=None)
+    return lambda of: columns(of) @ coefficients
 
 
 def boosting(inputs: Array, flow: Array) -> Callable[[Array], Array]:
@@ -44,23 +44,23 @@ def boosting(inputs: Array, flow: Array) -> Callable[[Array], Array]:
     from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
 
     model = HistGradientBoostingRegressor(early_stopping=False, random_state=0, **BOOSTING)
-    found: Callable[[Array], Array] = model.fit(inputs, flow).predict
-    return found
+    predict: Callable[[Array], Array] = model.fit(inputs, flow).predict
+    return predict
 
 
 def over_expected(nights: Sequence[NightBlocks], baseline: int, learn: Learn) -> Array:
     """Mean drain flow of each night over what a model of the baseline's expects, shape (n,)."""
-    night = np.repeat(np.arange(len(nights)), [len(one.flow) for one in nights])
-    flow = np.concatenate([one.flow for one in nights])
+    number = np.repeat(np.arange(len(nights)), [len(night.flow) for night in nights])
+    flow = np.concatenate([night.flow for night in nights])
     # ΔP/η, as the rigid pistons' drive has it, about 1.
-    drive = np.concatenate([one.drives for one in nights])[:, PATHS.index(PISTON)] * THETA[1]
-    inputs = np.column_stack([np.concatenate([one.conditions for one in nights]), drive])
-    part = np.where(night < baseline, night % PARTS, PARTS)
+    drive = np.concatenate([night.drives for night in nights])[:, PATHS.index(PISTON)] * THETA[1]
+    inputs = np.column_stack([np.concatenate([night.conditions for night in nights]), drive])
+    part = np.where(number < baseline, number % PARTS, PARTS)
     expected = np.empty_like(flow)
     for left_out in range(PARTS + 1):
         others = (part != left_out) & (part < PARTS)
         expected[part == left_out] = learn(inputs[others], flow[others])(inputs[part == left_out])
-    change: Array = np.bincount(night, flow) / np.bincount(night, expected) - 1.0
+    change: Array = np.bincount(number, flow) / np.bincount(number, expected) - 1.0
     return change
 
 

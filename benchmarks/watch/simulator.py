@@ -1,6 +1,6 @@
 """Nights of simulated machines as stored blocks, with the truth beside them.
 
-All nights of a motor are simulated at once, at one sample in ten seconds; a channel has the shape
+All nights of a motor are simulated at once, a sample every ten seconds; a channel has the shape
 (n, nights). What is fitted has the paths of a CB560, whatever the machine is. A seed draws the same
 operating conditions and errors whatever changes.
 """
@@ -103,7 +103,7 @@ class Duty(NamedTuple):
 
     def conditions(self, charge_bar: float | None = None) -> OperatingConditions:
         """Sample by sample, night after night."""
-        pressure, temperature, speed = (one.T.ravel() for one in self)
+        pressure, temperature, speed = (channel.T.ravel() for channel in self)
         return OperatingConditions.from_bar(pressure, temperature, speed, charge_bar)
 
 
@@ -121,7 +121,7 @@ class Machine(ABC):
     """A machine with physics of its own, and what is fitted to it."""
 
     fitted: Fitted = THREE_PATHS
-    own_every: ClassVar[int] = 1  # samples from one to the next of those of its own change
+    own_every: ClassVar[int] = 1  # every how many samples its own change is taken from
 
     @property
     def flushing_l_per_min(self) -> float:
@@ -199,8 +199,8 @@ def _flow(machine: Machine, duty: Duty, state: State) -> Array:
 
 def _metered(flow: Array, state: State) -> Array:
     """What the meter makes of a flow, shape (n, nights)."""
-    found: Array = np.where(flow < state.dead_below_l_per_min, 0.0, flow) + state.zero_l_per_min
-    return found
+    read: Array = np.where(flow < state.dead_below_l_per_min, 0.0, flow) + state.zero_l_per_min
+    return read
 
 
 def _change(
@@ -214,9 +214,9 @@ def _change(
     now = replace(state, temperature_lag_s=0.0, drain_lag_s=0.0)
     before = _flow(machine, read, now.as_first).mean(axis=0) - flushing
     newest_night = (_metered(flow, now).mean(axis=0) - flushing) / before - 1.0
-    own = [one[:: machine.own_every, :baseline].reshape(-1, 1) for one in read]
+    own = [channel[:: machine.own_every, :baseline].reshape(-1, 1) for channel in read]
     step = max(1, own[0].size // OWN_SAMPLES)
-    seen = Duty(*(np.tile(one[::step], nights) for one in own))
+    seen = Duty(*(np.tile(channel[::step], nights) for channel in own))
     now = replace(now, wander=1.0)
     warm = seen._replace(temperature_c=seen.temperature_c - now.reads_high_c)
     changed = _metered(_flow(machine, warm, now), now).mean(axis=0) - flushing
@@ -226,10 +226,10 @@ def _change(
 
 def _late(signal: Array, lag_s: float | Array) -> Array:
     lags = np.broadcast_to(lag_s, signal.shape[1])
-    found = signal.copy()
+    late = signal.copy()
     for lag in np.unique(lags[lags > 0.0]):
-        found[:, lags == lag] = lagging(signal[:, lags == lag], lag)
-    return found
+        late[:, lags == lag] = lagging(signal[:, lags == lag], lag)
+    return late
 
 
 def lagging(signal: Array, time_constant_s: float) -> Array:
@@ -252,5 +252,5 @@ def _block_means(samples: Array) -> Array:
     """Means of blocks of two minutes of the first axis."""
     rows = round(BLOCK_S / STEP_S)
     n = len(samples) // rows
-    found: Array = samples[: n * rows].reshape(n, rows, *samples.shape[1:]).mean(axis=1)
-    return found
+    means: Array = samples[: n * rows].reshape(n, rows, *samples.shape[1:]).mean(axis=1)
+    return means

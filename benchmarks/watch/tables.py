@@ -1,4 +1,4 @@
-"""Tables of what was found: a row of each motor, which come together by cell, or as told."""
+"""Tables of outcomes: a row of each motor, which come together by cell, or as named."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from benchmarks.watch.outcomes import Outcome
 from benchmarks.watch.simulator import PATHS
 from validation.tables import Table
 
-SOON = 3  # nights within which a wear that has reached 8 % is to be told, the first being 1
+SOON = 3  # nights within which a wear that has reached 8 % is to be detected, the first being 1
 PARTS = {*PATHS, "known"}  # what a change may be called that names a part
 Nights = Sequence[int | None]
 # Of what not every motor has.
-SAID = ("right", "less than right", "right later", "less than right later")
+RIGHTS = ("right", "less than right", "right later", "less than right later")
 TYPES = {
     **dict.fromkeys(("cause", "verdict", "size", "P", "P later"), pl.String),
-    **dict.fromkeys(("since held", "size held", *SAID), pl.Boolean),
+    **dict.fromkeys(("since held", "size held", *RIGHTS), pl.Boolean),
     "night": pl.Int64,
     "leakages": pl.List(pl.List(pl.Float64)),
 }
 
 
-def tables(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[Table]:
-    """Tables of all that was found."""
-    motors, made = _motors(cells, found), []
+def tables(cells: Mapping[str, Cell], outcomes: Mapping[str, Any]) -> list[Table]:
+    """Return the tables of all outcomes."""
+    motors, made = _motors(cells, outcomes), []
     for name, (groups, header, rows, keys) in TABLES.items():
         of = motors.filter(pl.any_horizontal(pl.col("group").str.starts_with(g) for g in groups))
         by = rows(of).group_by(keys, maintain_order=True)
@@ -41,36 +41,36 @@ def tables(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> list[Table]:
     return made
 
 
-def readme(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> Table:
-    """The README's table: of what was measured of it."""
+def readme(cells: Mapping[str, Cell], outcomes: Mapping[str, Any]) -> Table:
+    """Return the README's table, of the cells that were measured."""
     header = ("", "watch", *README_CHARTS)
     keys = {words: f"{key}; otherwise; {BASELINE}" for words, key in README_ROWS.items()}
     rows = [
-        [words, *_readme_row(_motors(cells, {key: found[key]}))]
+        [words, *_readme_row(_motors(cells, {key: outcomes[key]}))]
         for words, key in keys.items()
-        if key in found
+        if key in outcomes
     ]
     return Table("watch", [dict(zip(header, row, strict=True)) for row in rows])
 
 
-def _motors(cells: Mapping[str, Cell], found: Mapping[str, Any]) -> pl.DataFrame:
-    """A row of each motor, in order of the cells."""
-    known = [(cell, found[key]) for key, cell in cells.items() if key in found]
+def _motors(cells: Mapping[str, Cell], outcomes: Mapping[str, Any]) -> pl.DataFrame:
+    """Return a row of each motor, in order of the cells."""
+    known = [(cell, outcomes[key]) for key, cell in cells.items() if key in outcomes]
     rows = [_row(cell, motor) for cell, motors in known for motor in motors]
     return pl.DataFrame(rows, schema_overrides=TYPES, infer_schema_length=None)
 
 
 def _row(cell: Cell, motor: Outcome) -> dict[str, Any]:
-    event, told = cell.event, motor["told"]
+    event, reported = cell.event, motor["reported"]
     since, reached = max(cell.baseline, event.begin or 0), motor["reached"]
-    # What was detected as an alarm and was not told before.
-    alarms = [one["night"] for one in told if not (one["is_notice"] or one["continues"])]
+    # What was detected as an alarm and was not reported before.
+    alarms = [of["night"] for of in reported if not (of["is_notice"] or of["continues"])]
     # Detected first of the change, or since the baseline: an alarm, or a notice that is right; the
     # same again, where it was detected before the change.
-    tells = (one for one in told if not one["is_notice"] or one["first"][0] in event.right)
-    first = next((tell for tell in tells if tell["night"] >= since), None)
+    hits = (of for of in reported if not of["is_notice"] or of["first"][0] in event.right)
+    first = next((hit for hit in hits if hit["night"] >= since), None)
     end = event.nights if event.begin is None else since
-    named = " and ".join(one[when][0] for one in told for when in ("first", "cause"))
+    named = " and ".join(of[when][0] for of in reported for when in ("first", "cause"))
     return dict.fromkeys(TYPES) | {
         "group": cell.group,
         "change": cell.words,
@@ -83,10 +83,10 @@ def _row(cell: Cell, motor: Outcome) -> dict[str, Any]:
         # Alarms before anything is otherwise.
         "false alarms": sum(night < end for night in alarms),
         "false": any(night < end for night in alarms),
-        "notices": sum(one["is_notice"] for one in told),
+        "notices": sum(of["is_notice"] for of in reported),
         "part named": not PARTS.isdisjoint(named.split(" and ")),
         "lack of fit": motor["lack"],
-        "told": first is not None,
+        "reported": first is not None,
         "soon": reached and bool(first and first["night"] < reached + SOON),
         **{name: motor.get(name) for name in ("tonight", "rivals", "leakages")},
         **(_first(event, first) if first else {}),
@@ -95,27 +95,27 @@ def _row(cell: Cell, motor: Outcome) -> dict[str, Any]:
     }
 
 
-def _first(event: Event, told: Outcome) -> dict[str, Any]:
-    """What there is of the change that was told first."""
-    (cause, *_), (lower, _, upper), size = told["cause"], told["since"], told["size"]
+def _first(event: Event, of: Outcome) -> dict[str, Any]:
+    """Return what there is of the change that was reported first."""
+    (cause, *_), (lower, _, upper), size = of["cause"], of["since"], of["size"]
     is_change = event.begin is not None
     # Nothing has a size where nothing changes; odd nights are no change that stays.
     is_sized = is_change and cause != "odd_nights"
     is_near = cause == "not_identified" or cause in event.near
     return {
-        "night": told["night"] - (event.begin or 0) + 1,  # the change's first being 1
+        "night": of["night"] - (event.begin or 0) + 1,  # the change's first being 1
         "cause": cause,
         "verdict": "right" if cause in event.right else "cannot" if is_near else "wrong",
         "since held": lower <= event.begin <= upper if is_change else None,
-        "size held": size[1] <= told["true"] <= size[2] if is_sized else None,
+        "size held": size[1] <= of["true"] <= size[2] if is_sized else None,
         "size": "{:+.1f} ({:+.1f} to {:+.1f}) %".format(*np.multiply(100.0, size)),
-        **_likeliest(event, told["first"], ""),
-        **_likeliest(event, told["cause"], " later"),
+        **_likeliest(event, of["first"], ""),
+        **_likeliest(event, of["cause"], " later"),
     }
 
 
-def _likeliest(event: Event, told: Sequence[Any], when: str) -> dict[str, Any]:
-    _, cause, probability = told
+def _likeliest(event: Event, names: Sequence[Any], when: str) -> dict[str, Any]:
+    _, cause, probability = names
     tenth = min(int(10 * probability), 9)
     return {
         f"P{when}": f"{tenth / 10:.1f} to {(tenth + 1) / 10:.1f}",
@@ -145,10 +145,10 @@ def _text(motors: pl.DataFrame, name: str) -> str:
 
 
 def _names(motors: pl.DataFrame) -> str:
-    """Names: right / cannot be identified / wrong, and the wrong ones."""
-    said = Counter(motors["verdict"])
+    """Return how many names are right / cannot be identified / wrong, and the wrong ones."""
+    counted = Counter(motors["verdict"])
     wrong = Counter(motors.filter(verdict="wrong")["cause"])
-    counts = "/".join(str(said[one]) for one in ("right", "cannot", "wrong"))
+    counts = "/".join(str(counted[verdict]) for verdict in ("right", "cannot", "wrong"))
     return " ".join([counts, *(f"{cause} {n}" for cause, n in wrong.items())])
 
 
@@ -165,11 +165,12 @@ def _first_alarms(motors: pl.DataFrame, nights: Nights) -> str:
 
 
 def _delay(motors: pl.DataFrame, nights: Nights) -> str:
-    """Median and 90 % quantile, and how many were told if not all."""
+    """Return the median and 90 % quantile, and how many were reported if not all."""
     ends = np.quantile([night or np.inf for night in nights], [0.5, 0.9], method="higher")
     median, late = (f"{end:.0f}" if np.isfinite(end) else f"> {motors['left'][0]}" for end in ends)
-    told = len(nights) - nights.count(None)
-    return f"{median} ({late})" + ("" if told == len(nights) else f", {told}/{len(nights)}")
+    reported = len(nights) - nights.count(None)
+    of_all = "" if reported == len(nights) else f", {reported}/{len(nights)}"
+    return f"{median} ({late}){of_all}"
 
 
 def _rate(count: int, nights: int) -> str:
@@ -180,10 +181,10 @@ def _rate(count: int, nights: int) -> str:
 
 
 def _tonight(motors: pl.DataFrame) -> str:
-    found = np.array(motors["tonight"].to_list())
+    errors = np.array(motors["tonight"].to_list())
     return " / ".join(
         f"{100 * np.sqrt(np.mean(rms**2)):.1f} % ({100 * inside.mean():.0f} %)"
-        for rms, inside in (found[:, :2].T, found[:, 2:].T)
+        for rms, inside in (errors[:, :2].T, errors[:, 2:].T)
     )
 
 
@@ -210,10 +211,10 @@ def _leakages(motors: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _told(motors: pl.DataFrame) -> pl.DataFrame:
-    """A row of each cause that was likeliest, as told and ten nights later."""
-    later = motors.select(pl.col("P later").alias("P"), *SAID[2:])
-    of = pl.concat([motors.select("P", *SAID[:2]), later], how="diagonal")
+def _likeliest_causes(motors: pl.DataFrame) -> pl.DataFrame:
+    """Return a row of each cause that was likeliest, as reported and ten nights later."""
+    later = motors.select(pl.col("P later").alias("P"), *RIGHTS[2:])
+    of = pl.concat([motors.select("P", *RIGHTS[:2]), later], how="diagonal")
     return of.drop_nulls("P").sort("P")
 
 
@@ -229,21 +230,21 @@ README_ROWS = {
 
 
 def _readme_row(motors: pl.DataFrame) -> list[str]:
-    """Rate of alarms, how many alarmed, or the median night, of the watch and the charts."""
+    """Return the rate of alarms, how many alarmed, or the median night, of watch and charts."""
     charts = [_charts(motors)[name] for name in README_CHARTS]
     every = [motors["night"].to_list(), *charts]
     if motors["group"][0] == "healthy":
         rate = motors["false alarms"].sum() * YEAR / motors["watched"].sum()
         return [f"{rate:.2f}", *(_first_alarms(motors, chart) for chart in charts)]
     if motors["group"][0] == "no wear":
-        return [f"{len(one) - one.count(None)} of {len(one)}" for one in every]
-    watch, *others = (_in_words(motors, one) for one in every)
+        return [f"{len(nights) - nights.count(None)} of {len(nights)}" for nights in every]
+    watch, *others = (_in_words(motors, nights) for nights in every)
     named = len(motors.filter(verdict="right"))
     return [f"{watch}, {named} of {len(motors)} named", *others]
 
 
 def _in_words(motors: pl.DataFrame, nights: Nights) -> str:
-    """The median night, or how many were not told."""
+    """Return the median night, or how many were not reported."""
     n, missed = len(nights), nights.count(None)
     if 2 * missed < n:
         return f"night {sorted(nights, key=lambda night: night or np.inf)[n // 2]}"
@@ -267,20 +268,21 @@ TABLES = {
         "charts a year",
         lambda motors: motors.filter(pl.col("begin").is_null()),
     ),
-    "what was told": Rows(
+    "reported changes": Rows(
         (*CHANGES, "special"),
-        "group | change | machine | baseline | told | nights | names | notices | charts",
+        "group | change | machine | baseline | reported | nights | names | notices | charts",
     ),
     "false second alarms": Rows(("after a change",), "change | machine | more a year"),
     "probability": Rows(
         CHANGES,
         "P | right | less than right | right later | less than right later",
-        _told,
+        _likeliest_causes,
         ("P",),
     ),
     "machines that nobody fitted": Rows(
         ("not fitted",),
-        "machine | change | false | told | soon | size held | part named | lack of fit | tonight",
+        "machine | change | false | reported | soon | size held | part named | lack of fit | "
+        "tonight",
     ),
     "since and size": Rows(
         ("after", *CHANGES, "special", "not fitted"),
@@ -289,5 +291,5 @@ TABLES = {
         ("machine", "kind"),
     ),
     "laminar": Rows(("laminar",), "change | at | leakage | held", _leakages, ("at",)),
-    "record": Rows(("pump rig",), "change | false alarms | told | nights | size | names"),
+    "record": Rows(("pump rig",), "change | false alarms | reported | nights | size | names"),
 }
