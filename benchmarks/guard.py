@@ -139,7 +139,8 @@ def _cases(folder: Path) -> list[Case]:
         return run_fleet(RunRequest(replace(fleet, output=output, execution=execution)))
 
     def day() -> object:
-        return run_motor(a_day.task(a_day.specs[0], Path(tempfile.mkdtemp(dir=folder))))
+        (task,) = a_day.tasks(Path(tempfile.mkdtemp(dir=folder)))
+        return run_motor(task)
 
     def reading(name: str) -> Callable[[], object]:
         (motor,) = fleets[name].motors
