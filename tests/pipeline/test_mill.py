@@ -22,12 +22,13 @@ from scipy.signal import lfilter
 from pipeline.schema import LATEST
 from pipeline.store.tables import read_table, whole_file
 from tests.pipeline.calling import Call
+from tests.scenarios.fleets import SEQUENTIAL
 
 Array = NDArray[np.float64]
 
 FIRST = dt.date(2026, 3, 2)
 # Days are numbered from 0.
-WORSENS_ON, SWAPPED_FROM, DAYS = 12, 18, 21
+WORSENS_ON, SWAPPED_FROM, DAYS = 10, 13, 15
 CUT_ON = DAYS - 1
 WORSE_BY = 0.25
 SHIFT_BEGINS, PERIOD_S = dt.time(6), 5
@@ -141,20 +142,22 @@ def test_a_mills_first_day_in_four_commands(
 
     code, shown, _ = call("init", "logs", *answers, "--write")
     assert code == 0
-    days = "21 files, 2026-03-02 to 2026-03-22 (21 days)"
+    days = "15 files, 2026-03-02 to 2026-03-16 (15 days)"
     assert f"Walze1: {days}, time Zeit %d.%m.%Y %H:%M:%S, zone Europe/Berlin" in shown
+    with fleet.open("a", encoding="utf-8") as file:
+        file.write(SEQUENTIAL)
     stray = Path("logs/Walze1/old.csv")
     stray.write_bytes(next(Path("logs/Walze1").iterdir()).read_bytes())
     code, noted, said = call("check", fleet)
     assert code == 1
-    assert "Walze2_20260320.csv) on: columns changed? oil temperature and speed look swap" in said
-    assert "Walze3_20260322.csv: the last line has no end" in noted
+    assert "Walze2_20260315.csv) on: columns changed? oil temperature and speed look swap" in said
+    assert "Walze3_20260316.csv: the last line has no end" in noted
     assert "1 file matches no motor: Walze1/old.csv" in noted
     code, _, said = call("fit-fleet", fleet)
     assert code == 1
-    assert "Walze2: columns_changed: night 2026-03-20: columns changed?" in said
+    assert "Walze2: columns_changed: night 2026-03-15: columns changed?" in said
     assert "1 file matches no motor: Walze1/old.csv" in said
-    assert "Walze3_20260322.csv: 1 last row without a line end" in said
+    assert "Walze3_20260316.csv: 1 last row without a line end" in said
     code, _, _ = call("report", fleet)
     assert code == 0
 
@@ -164,7 +167,7 @@ def test_a_mills_first_day_in_four_commands(
     worse = latest[WORSENS.name]
     assert worse["state"] in ("warning", "alarm")
     assert worse["leakage_change_lower"] < 100 * WORSE_BY < worse["leakage_change_upper"]
-    assert worse["onset_earliest"].isoformat() <= "2026-03-14" <= worse["onset_latest"].isoformat()
+    assert worse["onset_earliest"].isoformat() <= "2026-03-12" <= worse["onset_latest"].isoformat()
     for drive in (SWAPPED, CUT):
         assert latest[drive.name]["state"] == "ok"
         assert latest[drive.name]["sentence"].startswith("no change detected since ")

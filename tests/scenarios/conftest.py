@@ -59,46 +59,47 @@ PLANT = (
 )
 
 
-# Unstated oil of a tank of three, a stated change of it, a meter, all gaps, flushing, an overhaul.
+CHANGE = 10  # night from which on the motors of `OTHERS` are changed
+# Unstated oil of a tank, a stated change of it, a meter, all gaps, flushing, an overhaul.
 OTHERS = (
-    *(Simulated(f"thinner_{n}", unstated_oil=(14, "vg46"), circuit="tank") for n in (1, 2)),
+    *(Simulated(f"thinner_{n}", unstated_oil=(CHANGE, "vg46"), circuit="tank") for n in (1, 2)),
     Simulated(
         "refilled",
-        lines=f'[[events]]\ndate = {FIRST + 11 * DAY}\nkind = "oil_change"\noil = "vg46"\n',
+        lines=f'[[events]]\ndate = {FIRST + 9 * DAY}\nkind = "oil_change"\noil = "vg46"\n',
     ),
-    Simulated("metered", misread={"leakage_flow": (14, 1.25, 0.0)}),
-    Simulated("aged", step(at=14, gap=0.06)),
+    Simulated("metered", misread={"leakage_flow": (CHANGE, 1.25, 0.0)}),
+    Simulated("aged", step(at=CHANGE, gap=0.06)),
     Simulated(
         "overhauled",
-        step(SLEEVE, at=1, gap=0.15, repaired_on=11),
-        lines=f'[[events]]\ndate = {FIRST + 10 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
+        step(SLEEVE, at=1, gap=0.15, repaired_on=8),
+        lines=f'[[events]]\ndate = {FIRST + 7 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
     ),
     Simulated(
         "flushed",
-        step(SLEEVE, at=14, gap=0.15),
+        step(SLEEVE, at=CHANGE, gap=0.15),
         flushing=1.0,
         lines='[flushing]\nmode = "estimated"\nflow_l_per_min = 0.8\nmaximum_l_per_min = 5.0\n',
     ),
 )
 
 
-def fitted_once(folder: Path, motors: tuple[Simulated, ...]) -> ScenarioFleet:
-    """A fleet of twenty nights, fitted by whichever worker comes first."""
-    made_once(folder, lambda place: make_fleet(place, *motors, nights=20).fitted())
+def fitted_once(folder: Path, motors: tuple[Simulated, ...], nights: int) -> ScenarioFleet:
+    """A fleet, fitted by whichever worker comes first."""
+    made_once(folder, lambda place: make_fleet(place, *motors, nights=nights).fitted())
     by_name = {motor.motor_id: motor for motor in motors}
-    return ScenarioFleet(folder, by_name, Plan(20, 40.0, 1.0, 1, FIRST))
+    return ScenarioFleet(folder, by_name, Plan(nights, 40.0, 1.0, 1, FIRST))
 
 
 @pytest.fixture(scope="session")
 def shared_plant(shared_folder: Path) -> ScenarioFleet:
     """The fitted plant, only to be read."""
-    return fitted_once(shared_folder / "scenario-plant", PLANT)
+    return fitted_once(shared_folder / "scenario-plant", PLANT, 20)
 
 
 @pytest.fixture(scope="session")
 def others(shared_folder: Path) -> ScenarioFleet:
     """Fitted motors whose change is no wear of a part; only to be read."""
-    return fitted_once(shared_folder / "scenario-others", OTHERS)
+    return fitted_once(shared_folder / "scenario-others", OTHERS, 16)
 
 
 @pytest.fixture

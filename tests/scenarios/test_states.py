@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pipeline.demo.fleet import PISTON, RING, SLEEVE
+from tests.scenarios.conftest import CHANGE
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import DAY, ScenarioFleet
 
@@ -20,11 +21,11 @@ PLANT_STATES = {
 }
 # Of causes that are no wear: the true change of the flow [%], too, where it is no path's.
 OTHER_STATES = {
-    "thinner_1": ("alarm", "oil_grade", 14, None),
-    "thinner_2": ("alarm", "oil_grade", 14, None),
-    "metered": ("warning", "all_flows", 14, 25.0),
-    "aged": ("warning", "all_gaps", 14, None),
-    "flushed": ("warning", SLEEVE, 14, None),
+    "thinner_1": ("alarm", "oil_grade", CHANGE, None),
+    "thinner_2": ("alarm", "oil_grade", CHANGE, None),
+    "metered": ("warning", "all_flows", CHANGE, 25.0),
+    "aged": ("warning", "all_gaps", CHANGE, None),
+    "flushed": ("warning", SLEEVE, CHANGE, None),
     "overhauled": ("ok", None, None, None),
 }
 
@@ -65,7 +66,7 @@ def test_other_causes_are_not_taken_for_wear(others: ScenarioFleet, motor: str) 
     if onset is not None:
         assert newest["onset_earliest"] <= others.label(onset) <= newest["onset_latest"]
     if motor == "overhauled":
-        assert newest["baseline_start"] == others.label(11)
+        assert newest["baseline_start"] == others.label(8)
 
 
 def test_flushing_is_no_leakage(others: ScenarioFleet) -> None:
@@ -85,7 +86,7 @@ def test_a_change_of_the_oil_that_is_stated_carries_the_baseline_across(
     newest = others.newest("refilled")
     assert (newest["state"], newest["baseline_start"]) == ("ok", others.label(1))
     assert newest["leakage_change_lower"] < 0.0 < newest["leakage_change_upper"]
-    assert {row["oil"] for row in others.nights("refilled")[11:]} == {"vg46"}
+    assert {row["oil"] for row in others.nights("refilled")[9:]} == {"vg46"}
 
 
 def test_a_motor_without_logs_is_stale(plant: ScenarioFleet) -> None:

@@ -2,50 +2,67 @@
 
 from __future__ import annotations
 
+import ast
+import sys
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.pipeline.calling import python
+from pipeline.config import Execution
+from pipeline.store.object_store import ObjectStore
+from pipeline.workers.engine import open_workers
+from tests.pipeline.calling import refused
 
 ROOT = Path(__file__).parents[3]
-# In a process of its own: every module of the program without the extras, then what asks for them.
-WITHOUT = """
-import importlib, pkgutil, sys
-from pathlib import Path
-for name in ("dask", "distributed", "obstore"):
-    sys.modules[name] = None
-import pipeline
-for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
-    if not module.name.endswith("__main__"):
-        importlib.import_module(module.name)
-from pipeline.config import Execution
-from pipeline.workers.engine import open_workers
-from pipeline.errors import MotorLeakageError
-from pipeline.store.object_store import ObjectStore
+EXTRAS = ("dask", "distributed", "obstore")
 
 
-def dask():
+def ask_for_dask() -> None:
     with open_workers(Execution(backend="dask", scheduler="tcp://127.0.0.1:1")):
         pass
 
 
-for ask in (dask, lambda: ObjectStore.at("s3://b/x")):
-    try:
+@pytest.mark.parametrize(
+    ("ask", "code", "extra"),
+    [
+        (ask_for_dask, "dask_missing", "dask"),
+        (lambda: ObjectStore.at("s3://b/x"), "object_store_missing", "s3"),
+    ],
+)
+def test_each_use_of_an_extra_that_is_missing_names_it(
+    ask: Callable[[], object], code: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = [name for name in sys.modules if name.partition(".")[0] in EXTRAS]
+    for name in (*EXTRAS, *loaded):
+        monkeypatch.setitem(sys.modules, name, None)
+    with refused(code, f"motor-leakage[{extra}]"):
         ask()
-    except MotorLeakageError as error:
-        print(error.code, error.message)
-"""
 
 
-def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> None:
-    told = [line.split(" ", 1) for line in python(WITHOUT).stdout.splitlines()]
-    assert [code for code, _ in told] == ["dask_missing", "object_store_missing"]
-    for (_, message), extra in zip(told, ("dask", "s3"), strict=True):
-        assert f"motor-leakage[{extra}]" in message
+def imported_at_once(path: Path) -> Iterator[str]:
+    """Packages that a module imports as soon as it is loaded."""
+    todo: list[ast.AST] = [ast.parse(path.read_text("utf-8"))]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield str(node.module).partition(".")[0]
+        elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            todo += node.orelse
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            todo += ast.iter_child_nodes(node)
+
+
+def test_every_module_loads_without_the_extras() -> None:
+    paths = (ROOT / "pipeline").rglob("*.py")
+    loaded = {path: {*imported_at_once(path)} for path in paths}
+    assert "polars" in set().union(*loaded.values())
+    assert [path for path, names in loaded.items() if names & {*EXTRAS}] == []
 
 
 def pinned() -> dict[str, str]:

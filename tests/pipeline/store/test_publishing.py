@@ -95,7 +95,7 @@ class TestRows:
         assert exists == any(some for change in history for some in change.values())
         assert (published(output) if exists else []) == expected
 
-    @settings(max_examples=15)
+    @settings(max_examples=8)
     @given(st.permutations([(motor, night) for motor in "ABC" for night in NIGHTS]), st.data())
     def test_bytes_do_not_tell_in_what_order_and_how_many_runs_they_were_made(
         self,
