@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
 
 from leakage.arrays import Array
 from leakage.watch import choices
@@ -333,6 +332,8 @@ def varies(values: Array) -> bool:
 
 def _first_guess(drives: Array, flow: Array) -> Array:
     """Return θ ≥ 0 by weighted least squares, leaning a little to equal shares, shape (p,)."""
+    from scipy.optimize import nnls  # half a second, of the nights that begin a baseline alone
+
     p, mean = drives.shape[1], float(flow.mean())
     usual = np.maximum(np.abs(drives).mean(axis=0), 1e-12) / mean
     weights = 1.0 / np.maximum(flow, choices.LEAST_UNIT * mean)
@@ -347,6 +348,8 @@ def _fit(
     columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
 ) -> tuple[Array, Array, BlockErrors, Array]:
     """Return θ ≥ 0, the other unknowns, the errors of the rest, the paths' standard errors."""
+    from scipy.optimize import lsq_linear
+
     p, designs = columns.n_paths, [columns.of_night(night) for night in nights]
     information, score = columns.prior(), np.zeros(columns.n)
     for night, (design, residuals) in zip(nights, designs, strict=True):

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from leakage.arrays import Array, Mask
 from leakage.watch import choices
@@ -59,6 +58,8 @@ def estimate_errors(
 
     `tolerance` is that of the logarithms of the errors.
     """
+    from scipy.optimize import minimize
+
     apart, products, is_real, number = _pieces(nights)
     each = np.arange(apart.shape[1])
 
