@@ -202,20 +202,19 @@ def error_budget(
     Raises EstimationError, ValidityError if there are fewer samples than free coefficients; if a
     disturbed temperature leaves the range of Walther's equation.
     """
-    n, known = len(flow_l_per_min), [*sources(motor, tolerances)]
+    known, samples = [*sources(motor, tolerances)], slice(len(at), len(at) + len(flow_l_per_min))
     read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
     windows = [read, *(source.disturbed(read) for source in known)]
-    columns = np.stack([regressors(window.motor, window.conditions) for window in windows])
+    # No sensor moves what is stated.
+    columns = np.stack(
+        [
+            regressors(window.motor, OperatingConditions.joined([*at, window.conditions]))
+            for window in windows
+        ]
+    )
     flows = np.stack([window.flow_l_per_min for window in windows])
-    thetas = _coefficients(motor, np.concatenate([columns[:, :n], flows[:, :, None]], axis=2))
-    stated = np.empty((len(windows), len(at), columns.shape[2]))
-    for place, each in enumerate(at):
-        # No sensor moves what is stated.
-        stated[:, place] = regressors(motor, each)[0]
-        for row, window in enumerate(windows):
-            if window.motor is not motor:
-                stated[row, place] = regressors(window.motor, each)[0]
-    asked = np.concatenate([stated, columns[:, n:]], axis=1)
+    thetas = _coefficients(motor, np.concatenate([columns[:, samples], flows[:, :, None]], axis=2))
+    asked = np.delete(columns, samples, axis=1)
     leakages = np.einsum("smp,sp->sm", asked[:, :, :-2], thetas[:, :-1]) + asked[:, :, -1]
     return ErrorBudget(
         tuple(

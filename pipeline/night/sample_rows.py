@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise, repeat
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -84,10 +84,12 @@ def conditions(samples: Samples) -> Row:
     }
 
 
-def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
-    """Return samples in each bin; the end bins hold all beyond."""
-    below = np.searchsorted(np.sort(values), edges[1:-1]).tolist()
-    return [after - before for before, after in pairwise([0, *below, len(values)])]
+def coarse_histograms(
+    values: Array, edges: tuple[float, ...], rows: Sequence[slice]
+) -> list[list[int]]:
+    """Return samples of some rows in each bin; the end bins hold all beyond."""
+    bins = np.searchsorted(edges[1:-1], values, side="right")
+    return [np.bincount(bins[row], minlength=len(edges) - 1).tolist() for row in rows]
 
 
 Columns = dict[str, Sequence[Any]]
@@ -126,12 +128,12 @@ def block_rows(
         ],
     }
     pressure, temperature = samples.pressure_difference_bar, samples.oil_temperature_c
-    for name, unit, parts, edges in (
-        ("pressure", "bar", (np.abs(pressure[row]) for row in rows), PRESSURE_EDGES_BAR),
-        ("temperature", "c", (temperature[row] for row in rows), TEMPERATURE_EDGES_C),
-        ("speed", "rpm", (speed[row] for row in rows), SPEED_EDGES_RPM),
+    for name, unit, values, edges in (
+        ("pressure", "bar", np.abs(pressure), PRESSURE_EDGES_BAR),
+        ("temperature", "c", temperature, TEMPERATURE_EDGES_C),
+        ("speed", "rpm", speed, SPEED_EDGES_RPM),
     ):
-        columns |= _spread(name, unit, parts, edges)
+        columns |= _spread(name, unit, values, rows, edges)
     if spec.settings.model.two_sided:
         charge = charge_over_case_bar(spec.settings.model, samples)
         columns["mean_charge_over_case_bar"] = [float(charge[row].mean()) for row in rows]
@@ -155,19 +157,16 @@ def _rows(columns: Columns, shared: Mapping[str, Any]) -> list[Row]:
     return [dict(zip(every, values, strict=True)) for values in zip(*every.values(), strict=True)]
 
 
-def _spread(name: str, unit: str, parts: Iterable[Array], edges: tuple[float, ...]) -> Columns:
+def _spread(
+    name: str, unit: str, values: Array, rows: Sequence[slice], edges: tuple[float, ...]
+) -> Columns:
     """Return means, limits and coarse histograms of a channel by block."""
-    # Block by block: all figures of one while it is in the cache.
-    figures = [
-        (part.sum() / len(part), part.min(), part.max(), coarse_histogram(part, edges))
-        for part in parts
-    ]
-    means, lowest, highest, histograms = zip(*figures, strict=True)
+    parts = [values[row] for row in rows]
     return {
-        f"mean_{name}_{unit}": [*map(float, means)],
-        f"minimum_{name}_{unit}": [*map(float, lowest)],
-        f"maximum_{name}_{unit}": [*map(float, highest)],
-        f"{name}_histogram": histograms,
+        f"mean_{name}_{unit}": [float(part.sum()) / len(part) for part in parts],
+        f"minimum_{name}_{unit}": [float(part.min()) for part in parts],
+        f"maximum_{name}_{unit}": [float(part.max()) for part in parts],
+        f"{name}_histogram": coarse_histograms(values, edges, rows),
     }
 
 

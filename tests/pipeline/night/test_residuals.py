@@ -16,7 +16,7 @@ from leakage import OperatingConditions, regressors
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night.fit_night import NightOutcome
-from pipeline.night.sample_rows import coarse_histogram, data_columns
+from pipeline.night.sample_rows import coarse_histograms, data_columns
 from pipeline.night.time_base import Samples
 from pipeline.report.explain import explain_residuals
 from pipeline.schema import PRESSURE_EDGES_BAR
@@ -197,4 +197,5 @@ def test_operation_is_counted_and_its_conditions_are_magnitudes(
     assert row["mean_pressure_bar"] == pytest.approx(pressure.mean())
     assert (row["mean_speed_rpm"], row["reversed_percent"]) == (20.0, 25.0)
     expected, _ = np.histogram(pressure, PRESSURE_EDGES_BAR)
-    assert coarse_histogram(pressure, PRESSURE_EDGES_BAR) == expected.tolist()
+    (counts,) = coarse_histograms(pressure, PRESSURE_EDGES_BAR, [slice(None)])
+    assert counts == expected.tolist()
