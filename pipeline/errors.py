@@ -1,4 +1,4 @@
-"""One tree of errors: each has a stable code, and a message that says what, where and what to do.
+"""The tree of errors: each has a stable code, and a message that says what, where and what to do.
 
 The codes stand in tables, on the terminal and in ``docs/operations.md``; they never change meaning.
 """

@@ -67,7 +67,7 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
 
 
 def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tuple[Path, int]]:
-    """Write tables as one CSV file each, whole or not at all; the files, and their rows.
+    """Write each table as a CSV file, whole or not at all; the files, and their rows.
 
     UTF-8, a header line, cells quoted where they must be. Null is an empty cell, an empty text a
     quoted one; times are ISO 8601 in UTC, numbers as short as they can be read back unchanged,
@@ -95,7 +95,7 @@ def _export_table(
         nonlocal count
         file.write((BYTE_ORDER_MARK if request.byte_order_mark else "").encode())
         file.write((separator.join(table.schema) + "\n").encode())
-        for path in files_of(output, table):  # one by one: memory does not grow with the history
+        for path in files_of(output, table):  # in turn: memory does not grow with the history
             rows = as_text(read_table(path, table).filter(chosen), separator)
             count += rows.height
             text = rows.write_csv(

@@ -1,4 +1,4 @@
-"""Log and error messages of the program: lines for people, or one JSON object a line.
+"""Log and error messages of the program: lines for people, or a JSON object a line.
 
 Workers are processes of their own; their messages go to the same stderr, in the same form.
 """
@@ -17,7 +17,7 @@ AS_JSON = "json"
 
 
 class JsonLine(logging.Formatter):
-    """A record as one line of JSON: event, time (UTC), level, logger, message, traceback."""
+    """A record as a line of JSON: event, time (UTC), level, logger, message, traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The line."""
@@ -41,7 +41,7 @@ def speak(*, as_json: bool) -> None:
 
 
 def speak_as_parent() -> None:
-    """Take the form that the process chose that started this one; does nothing where it is set."""
+    """Take the form that the process chose that started this; does nothing where it is set."""
     if not logging.getLogger().handlers:
         _attach()
 

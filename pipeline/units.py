@@ -1,4 +1,4 @@
-"""Names and units of the channels, and the one place where a reading becomes a canonical one.
+"""Names and units of the channels, and the only place where a reading becomes canonical.
 
 Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min, h, mm²/s,
 mPa·s. The factors are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811,
@@ -83,7 +83,7 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = {
         "Pa.s": Conversion(1000.0),
     },
 }
-"""Units that a log may be in, by quantity; the first of each is the canonical one."""
+"""Units that a log may be in, by quantity; the first of each is canonical."""
 
 # Quantity of each channel, and the limits of its readings where its config states none.
 _CHANNELS = {

@@ -55,7 +55,7 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
     if not counts.any():
         nothing = np.full(len(zeros), np.nan)
         return ZeroCourse(known, nothing, nothing, nothing, nothing)
-    # The first one, not their middle: what is known after a halt must not hang on later ones.
+    # The first, not their middle: what is known after a halt must not hang on later ones.
     reference = float(zeros[counts][0])
     value, square, square_error = (
         np.concatenate([[0.0], np.cumsum(part)])
@@ -77,7 +77,7 @@ def zero_course(zeros: Array, errors: Array, tolerance: float) -> ZeroCourse:
     now, now_variance = of_halts(np.maximum(end - size, 0), end)
     before, before_variance = of_halts(np.zeros_like(size), np.minimum(size, len(value) - 1))
     change, variance = now - before, now_variance + before_variance
-    # Welch and Satterthwaite, for groups of one size.
+    # Welch and Satterthwaite, for groups of equal size.
     both = now_variance**2 + before_variance**2
     freedom = np.where(both > 0.0, (size - 1) * variance**2 / np.where(both > 0, both, 1), size - 1)
     reach = stdtrit(freedom, 0.5 + COVERAGE / 2) * np.sqrt(variance)

@@ -13,7 +13,7 @@ newest night:
     f = \frac{e^{\kappa u} - 1}{e^\kappa - 1},\ \kappa = -4 \dots 6, \quad \text{and} \quad
     f = u^p,\ p = 0.3 \dots 4 .
 
-Each shape is fitted by generalised least squares with one first-order autoregression of the
+Each shape is fitted by generalised least squares with a first-order autoregression of the
 errors, and weighs prior · RSS^(−0.25 (n − 3)/2) / √det; concave, nearly straight and convex shapes
 have a third of the prior each. With (a, b) distributed by Student's t of n − 3 degrees of freedom,
 a rising course has crossed the limit L by u with the probability
@@ -78,7 +78,7 @@ def estimated_phi(residuals: Array, nights: Places) -> float:
     r"""Return correlation of neighbouring nights, from the residuals of a straight line.
 
     The correlation of nights that follow each other at the commonest distance d is corrected for
-    what a fitted line takes away of it [1]_, and brought to one night:
+    what a fitted line takes away of it [1]_, and brought to a single night:
 
     .. math:: \hat\varphi = \Big(r_d + \frac{2 + 4 r_d}{n}\Big)^{1/d}, \qquad
        0 \le \hat\varphi \le 0.95 .
@@ -108,8 +108,8 @@ def estimated_phi(residuals: Array, nights: Places) -> float:
 class Slope:
     """A straight line through the nights of an indicator.
 
-    There is none below 20 nights or where all lie at one position, and no interval where they lie
-    on the line to within rounding.
+    There is none below 20 nights or where all lie at the same position, and no interval where they
+    lie on the line to within rounding.
     """
 
     n: int  # Nights that count.
@@ -181,7 +181,7 @@ class CourseFits:
         return cls(length, float(means[0]), means[1:], slopes, spans, centred)
 
     def residuals(self, course: int) -> Array:
-        """Return residuals of one of the courses, shape (n,)."""
+        """Return residuals of a course, shape (n,)."""
         left: Array = self.centred[:, 0] - self.slopes[course] * self.centred[:, 1 + course]
         return left
 
@@ -193,7 +193,7 @@ LOWEST_OF_JUMPS = 0.02
 KAPPAS: Array = np.array([-4.0, -3, -2, -1, -0.25, 1e-9, 0.25, 1, 2, 3, 4, 5, 6])
 POWERS: Array = np.array([0.3, 0.5, 0.7, 1.4, 2.0, 3.0, 4.0])
 NEARLY_STRAIGHT = 0.3
-# Calibrated by simulation: shapes are never as sure as the errors of one would have it.
+# Calibrated by simulation: shapes are never as sure as the errors of each would have it.
 TEMPERING = 0.25
 MEANS = 12
 # Upper 95 % bound of a variance of eleven increments, over its estimate: few jumps tell it badly.
@@ -216,7 +216,7 @@ class TimeToLimit:
     # ``finite``; ``not_before``: nothing is known but an earliest time; ``beyond_horizon``: the
     # earliest time is the horizon; ``already_crossed``: more likely at the limit than below;
     # ``no_trend``: more likely falling than rising; ``insufficient``: fewer than 20 nights, or all
-    # at one position.
+    # at the same position.
     status: str
     time: float | None = None  # As likely later as earlier; only of ``finite``.
     # lower, upper: Ends of the 90 % set; None where there is none.
@@ -325,7 +325,7 @@ def _crossed_by_shape(nights: Places, u: Array, y: Array, at: Array) -> tuple[Ar
 
 
 def _student(t: Array, freedom: int) -> Array:
-    """Student's distribution function to 1e-4 [2]_, in a tenth of the time of an exact one."""
+    """Student's distribution function to 1e-4 [2]_, in a tenth of the exact function's time."""
     factor = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
     normal = factor * np.sqrt(freedom * np.log1p(t**2 / freedom))
     result: Array = ndtr(np.copysign(normal, t))

@@ -1,1 +1,1 @@
-"""Estimation from one night: statistics of blocks, least squares, intervals, residual analysis."""
+"""Estimation from a night: statistics of blocks, least squares, intervals, residual analysis."""

@@ -1,4 +1,4 @@
-"""The one fit of a motor to blocks of samples: of a night, and of a frame."""
+"""The fit of a motor to blocks of samples: of a night, and of a frame."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class BlockEstimate:
     fit: Fit  # estimates from all blocks
     training: ProvenMinimum  # the fit to the blocks that train, which is validated on the others
     whole: Array  # the merged factor of all blocks, shape (c, c)
-    fitted: Array  # the one that the estimates are the minimum of, shape (c, c)
+    fitted: Array  # the factor that the estimates minimise, shape (c, c)
     slow: SlowErrors  # memory of the errors from block to block
     whitened: Array  # the factors without that memory, shape (b, c, c)
     misfit: Misfit | None  # structured misfit; None where the blocks are too few

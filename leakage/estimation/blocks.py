@@ -177,7 +177,7 @@ NONE_CHOSEN = ChosenPeriods()
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive kept samples of one part of a night."""
+    """Consecutive kept samples of a part of a night."""
 
     # first_row, end_row: rows of the kept samples, half open.
     first_row: int
@@ -246,7 +246,7 @@ def _parts_as_chosen(
 
 
 def within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:
-    """Return samples that lie in one of some stretches, shape (n,)."""
+    """Return samples that lie in any of some stretches, shape (n,)."""
     mask = np.zeros(len(time_us), dtype=np.bool_)
     for begin, end in stretches:
         mask |= (time_us >= begin) & (time_us < end)

@@ -71,7 +71,7 @@ class Excitation:
 class Judgement:
     """The verdict on a coefficient or a figure."""
 
-    verdict: Verdict  # One of `Verdict`.
+    verdict: Verdict
     reason: str  # In words, with what operation would help; empty where identified.
     interval: Interval | None  # Its 95 % interval; None unless identified or uncertain.
     # The interval that was judged, whatever the verdict; None where the samples do not span it.
@@ -82,7 +82,7 @@ class Judgement:
 class Identification:
     """Verdicts and intervals of a fit."""
 
-    coefficients: tuple[Judgement, ...]  # one for each coefficient of θ
+    coefficients: tuple[Judgement, ...]  # for each coefficient of θ
     slow: SlowErrors  # memory of the errors from block to block
     n_blocks: int  # blocks behind the intervals
     # Of the coefficients that are not fixed; None where there is no interval at all.
@@ -142,7 +142,7 @@ def _judge(
     distribution: ClusterRobust | None,
     excitation: Excitation,
 ) -> Judgement:
-    """Return verdict on one coefficient: excitation first, then bounds, then its interval."""
+    """Return verdict on a coefficient: excitation first, then bounds, then its interval."""
     proven_minimum = fit.proven_minimum
     if path is None or proven_minimum.fixed[place]:
         return Judgement("fixed", "held at its configured value", None)
@@ -162,9 +162,9 @@ def _judge(
 
 
 def _taken_from_bounds(place: int, fit: Fit, interval: Interval | None) -> str:
-    """Return reason why a coefficient is another one's as well; empty if it is its own.
+    """Return reason why a coefficient is another's as well; empty if it is its own.
 
-    What a bound takes from one coefficient goes into the others. By less than a standard error
+    What a bound takes from a coefficient goes into the others. By less than a standard error
     that is noise, which a bound mends; by more, the samples ask for what no gap can do.
     """
     proven_minimum = fit.proven_minimum
@@ -246,7 +246,7 @@ def _missing_operation(path: Law, excitation: Excitation, span: float) -> str:
 
 
 def _partner(place: int, fit: Fit, everything: ClusterRobust) -> str:
-    """Return the coefficient that the samples tell apart from this one least."""
+    """Return the coefficient that the samples tell apart from it least."""
     places = np.flatnonzero(everything.active)
     among = int(np.flatnonzero(places == place)[0])
     strength = np.abs(everything.correlation()[among])
@@ -258,7 +258,7 @@ def _partner(place: int, fit: Fit, everything: ClusterRobust) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LeakageJudgement:
-    """The leakage of a fitted motor at one condition, flushing excluded."""
+    """The leakage of a fitted motor at a condition, flushing excluded."""
 
     leakage_l_per_min: float  # Estimate without bounds [l/min].
     interval: Interval | None  # Its 95 % interval; None where there is none.
@@ -282,7 +282,7 @@ def judge_leakage(
     conditions: OperatingConditions,
     systematic_l_per_min: float = 0.0,
 ) -> LeakageJudgement:
-    """Leakage at one condition, with its interval from the joint distribution, and a verdict.
+    """Leakage at a condition, with its interval from the joint distribution, and a verdict.
 
     `systematic_l_per_min` is the ± of sensors and of the model there. Within the samples' range
     ``identified`` where the whole half-width is at most 10 %, ``uncertain`` up to 25 %;

@@ -1,6 +1,6 @@
 r"""What a fit leaves to columns that a right model does not need, and what that does to figures.
 
-A right model leaves noise, a wrong one leaves something that goes with temperature, load or speed.
+A right model leaves noise, a wrong model something that goes with temperature, load or speed.
 To the columns :math:`X` of the fit come columns :math:`A` that a right model does not need: the
 known flow, a constant, and the fitted leakage times the block's mean temperature, pressure, speed,
 and pressure times speed, each about the night's mean. With :math:`\hat\gamma` their coefficients,
@@ -15,7 +15,7 @@ It moves the figures of the fit by no more than
 
 .. math:: R(c) = \tau \sqrt{c^T (X^T X / N)^{-1} c} ,
 
-which is reached where the misfit lies along the contrast. It widens the intervals of one night; the
+which is reached where the misfit lies along the contrast. It widens the intervals of a night; the
 verdict on a motor's model is that of its watch, over many nights.
 
 References

@@ -9,9 +9,9 @@ every coefficient off its bounds and points outwards at a bound. The largest vio
 as the dual residual. This minimum is what is published.
 
 The thesis searches in gap heights and eccentricities (3.4, 3.5), by SciPy's trust-region-reflective
-method from several starting points. h and e of one path enter only as K ∝ h³(1 + 1.5e²): runs from
-different points end at one minimum of the criterion with different (h, e). The starts show that
-this search agrees, and how far the thesis's parameters spread at the minimum: an audit, on request.
+method from several starting points. h and e of a path enter only as K ∝ h³(1 + 1.5e²): runs from
+different points end at the same minimum of the criterion with different (h, e). The starts show
+that this search agrees, and how far the thesis's parameters spread at the minimum: an audit.
 The optimiser sees µm and l/min, never metres: its step test is on an unscaled norm.
 
 References
@@ -52,7 +52,7 @@ class ProvenMinimum:
     # θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
     coefficients: Array
     # θ without its bounds, of least norm where columns depend on each other; shape (p + 1,).
-    # A leakage is computed from it: what a bound takes from one coefficient it gives to the others,
+    # A leakage is computed from it: what a bound takes from a coefficient it gives to the others,
     # which is right for their gaps and wrong for the sum.
     unbounded: Array
     cost: float  # V(θ) [(l/min)²]
@@ -87,7 +87,7 @@ def certify(r: Array, lower: Array, upper: Array) -> ProvenMinimum:
     """Return global minimum of the criterion over a box of coefficients; equal bounds fix one.
 
     Where the minimum is a set (dependent columns), its element of least norm in scaled columns if
-    that lies in the box, else the one that the bounded solver ends at: both deterministic.
+    that lies in the box, else where the bounded solver ends: both deterministic.
 
     Raises EstimationError if the factor holds fewer samples than there are free coefficients.
     """
@@ -151,10 +151,10 @@ def _rank(singular_values: Array) -> int:
 def _bounded_minimum(
     matrix: Array, target: Array, lower: Array, upper: Array, unbounded: Array
 ) -> Array:
-    """Return minimum over the box: the unbounded one where it fits, else found by active sets [1]_.
+    """Return minimum over the box: without bounds where that fits, else by active sets [1]_.
 
     SciPy's bounded solver stops on a small change of cost, so a coefficient whose box is tiny can
-    end it far above the minimum. This one stops on nothing but the proof.
+    end it far above the minimum. This search stops on nothing but the proof.
     """
     if not matrix.shape[1]:
         return np.empty(0)
@@ -236,13 +236,13 @@ def fit(r: Array, motor: Motor) -> Fit:
 AT_MINIMUM = 1e-4
 # At e = 0 the derivative by e vanishes: a search that starts there never leaves.
 ECCENTRICITY_NUDGE = 1e-3
-# No more than rounding: without one the search divides 0 by 0 where the gradient vanishes exactly.
+# No more than rounding: without it the search divides 0 by 0 where the gradient vanishes exactly.
 GRADIENT_TOLERANCE = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Outcome of one starting point."""
+    """Outcome of a starting point."""
 
     cost: float  # V at the end [(l/min)²]
     # initial, final: values of the free parameters [µm, 1, m³ or l/min as the parameter's unit].
@@ -265,7 +265,7 @@ class Search:
 
     @property
     def gap(self) -> float | None:
-        """(V of the best start − V*) / V*; None without one, or where V* is rounding."""
+        """(V of the best start − V*) / V*; None without starts, or where V* is rounding."""
         if not self.starts or self.proven_minimum.cost <= self.proven_minimum.rounding:
             return None
         return min(start.cost for start in self.starts) / self.proven_minimum.cost - 1.0
@@ -319,7 +319,7 @@ def search(
     function_tolerance: float = 1e-10,
     maximum_iterations: int = 200,
 ) -> Search:
-    """Minimise the criterion from each starting point, the configured one first.
+    """Minimise the criterion from each starting point, the configured first.
 
     `r` is the factor of the training samples, shape (c, c), columns as ``motor.columns``. MATLAB's
     own tolerances, 1e-6 and 1e-5, leave half of the starts short.

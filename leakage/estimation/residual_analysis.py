@@ -8,7 +8,7 @@ With ε the prediction error y − ŷ and u an input, both without their means,
 
 equations (27) and (26) of the thesis, over the N_k pairs of samples that are k apart [3]_.
 Whiteness asks whether errors tell of later errors, independence whether inputs tell of errors; at a
-positive lag the input is the past one. Each is judged by one figure, with a probability to be as
+positive lag the input is in the past. Each is judged by one figure, with a probability to be as
 large by chance. The bands, which hold 99 % at each single lag, are for the eye.
 
 **Whiteness.** The statistic of Ljung and Box [2]_,
@@ -19,7 +19,7 @@ large by chance. The bands, which hold 99 % at each single lag, are for the eye.
 :math:`P = \sum_\tau R_\varepsilon(\tau) R_u(\tau)` over N [1]_, and the covariance of two is
 :math:`\Pi(j - k) = \sum_\tau w(\tau) R_\varepsilon(\tau) R_u(\tau + j - k)` over N. Let r be the
 correlations at lags −25 to 25 over the N inner samples, those with 25 others on either side, so
-that each lag has the same ones, and w(τ) the share of them that another one follows after τ. Then
+that each lag has the same samples, and w(τ) the share of them that another follows after τ. Then
 
 .. math:: T = N \sum_{i=1}^{m} \frac{(v_i^T r)^2}{\kappa_i \lambda_i} \sim \chi^2_m ,
 
@@ -28,7 +28,7 @@ when the input moves make correlations scatter more; with :math:`f_i` the weight
 :math:`v_i^T r` is the mean product with ε, the factor
 :math:`\kappa_i = \overline{e^2 f_i^2} / (\overline{\varepsilon^2}\,\overline{f_i^2})`, at least 1,
 makes up for it [4]_; e is ε without its regression on all :math:`f_i`. An input that changes little
-within 25 samples has 51 correlations that are nearly one and the same, and what a delay leaves is
+within 25 samples has 51 correlations that are nearly the same, and what a delay leaves is
 in how they *differ*: the bands do not see it, T does.
 
 References
@@ -84,9 +84,9 @@ BOTH_WAYS = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LagTest:
-    """Correlations over lags with their band, and one figure that judges them together."""
+    """Correlations over lags with their band, and a figure that judges them together."""
 
-    # Shape (k,), in samples; at a positive one the input is the past one. Empty where nothing
+    # Shape (k,), in samples; at a positive lag the input is in the past. Empty where nothing
     # could be computed.
     lags: Places
     # Correlations, shape (k,); nan at a lag with fewer pairs than a fifth of the samples.
@@ -201,7 +201,7 @@ class _Spectra:
         padded = np.zeros(n_rows * step + longest_lag)
         padded[: len(series)] = series
         self.size, self.longest_lag = size, longest_lag
-        # Conjugates of pieces alone, and pieces with what follows: each pair is in one product.
+        # Conjugates of pieces alone, and pieces with what follows: each pair is in a product once.
         self.pieces = np.fft.rfft(padded[: n_rows * step].reshape(n_rows, step), size)
         np.conjugate(self.pieces, out=self.pieces)
         self.with_next = np.fft.rfft(sliding_window_view(padded, size)[::step])
@@ -229,7 +229,7 @@ class _Errors:
     is_known: Mask  # lags of which enough pairs tell, shape (k,)
     correlations: Array  # 0 where too few pairs tell, shape (k,)
     effective_share: float | None  # independent samples, over all; None if not to be estimated
-    # Inner samples on the time base; how many of them another one follows, shape (51,); the
+    # Inner samples on the time base; how many of them another follows, shape (51,); the
     # spectra of their errors; and places of some of them.
     n_inner: int
     follows: Array
@@ -323,7 +323,7 @@ def _covariances(errors: _Errors, own: Array) -> Array:
     """Return Π(0) to Π(50), of errors and input scaled to variances of 1."""
     longest, reach = 2 * LONGEST_LAG, len(own) - 1
     lags = np.arange(longest - reach, reach - longest + 1)
-    # Around a gap no sample is an inner one for 51 places: farther off, the share is as good as
+    # Around a gap no sample is an inner sample for 51 places: farther off, the share is as good as
     # even.
     followed = errors.follows[np.minimum(np.abs(lags), longest)] / errors.n_inner
     both_ways = np.correlate(

@@ -143,13 +143,13 @@ def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
 
 
 def _with(changed: Motor) -> Disturbance:
-    """Return a constant of the motor is another one."""
+    """Return a constant of the motor is another."""
     return lambda window: window._replace(motor=changed)
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Effect of one source on every figure, signed, for its tolerance taken as positive."""
+    """Effect of a source on every figure, signed, for its tolerance taken as positive."""
 
     source: Source
     coefficients: Array
@@ -196,8 +196,8 @@ def error_budget(
     `motor, conditions, flow_l_per_min`: The motor as fitted, and n thinned training samples; a few
     thousand are enough.
     `tolerances`: What is stated.
-    `at, as_read`: Conditions at which the leakage is asked for, one sample each: stated ones, and
-    ones that the same sensors have read, so that a sensor that is off moves them, too.
+    `at, as_read`: Conditions at which the leakage is asked for, a sample each: stated, and
+    as the same sensors have read them, so that a sensor that is off moves them, too.
 
     Raises EstimationError, ValidityError if there are fewer samples than free coefficients; if a
     disturbed temperature leaves the range of Walther's equation.
@@ -228,7 +228,7 @@ def _coefficients(motor: Motor, samples: Array) -> Array:
     """Return θ of samples as read and as disturbed by each source, shape (1 + s, p + 1).
 
     Disturbed ones are fitted without bounds, what the first fit has on a bound held there: cut at a
-    bound, the effect on one coefficient would be moved to the others.
+    bound, the effect on a coefficient would be moved to the others.
     """
     count, n, columns = samples.shape
     whole = factors(samples.reshape(-1, columns), n * np.arange(count + 1))
@@ -252,7 +252,7 @@ def effects_elsewhere(
     before: OperatingConditions,
     after: OperatingConditions,
 ) -> dict[str, float]:
-    """Return effects on the leakage at one stated condition from those at another, without samples.
+    """Return effects on the leakage at a stated condition from those at another, without samples.
 
     A constant acts on what the thinned sample's own fit says; that is taken as the nearest to θ,
     shape (p + 1,), which explains the known effects: by source, on θ and on the leakage at `before`

@@ -168,7 +168,7 @@ def slow_errors(
         scales: _within_errors(grams - block.grams(), block, sample_count(whole))
         for scales, block in blocks.items()
     }
-    # Both are held against one size of the errors: that of the direction that leaves less.
+    # Both are held against the same size of the errors: that of the direction that leaves less.
     variance, within = min(errors.values(), key=lambda error: error[0] * error[1])
     if not variance * sample_count(whole) > (ROUNDING * np.linalg.norm(whole[:, -1])) ** 2:
         return NOT_SLOW
@@ -291,7 +291,7 @@ def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array
     other block of W + Q. The first point is that of no slow error; shapes (1 + g, c, c), (1 + g,).
     """
     weights, alone = means.n[:, None], means.usual_n / ratio
-    # Blocks of two nights may be rounded to one place.
+    # Blocks of two nights may be rounded to the same place.
     memories = memory ** np.maximum(np.diff(means.number), 1)[:, None]
     given_before = np.vstack([alone, alone / (1.0 - memories**2)])
     beside = -memories * given_before[1:]

@@ -28,7 +28,7 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class TransportLag:
-    """Lag of a flow behind what drives it, in one night."""
+    """Lag of a flow behind what drives it, in a night."""
 
     seconds: float  # lag that explains most; negative where the flow is ahead
     gain: float  # share of the flow's variance that it explains beyond what lag 0 does
@@ -52,7 +52,7 @@ def transport_lag(
 
     Returns
     -------
-    None where nothing varies, the largest lag is one of the outermost, or samples lie too far apart
+    None where nothing varies, the largest lag is an outermost, or samples lie too far apart
     or have too few neighbours.
 
     Examples
@@ -120,7 +120,7 @@ def _explained(moments: Array, most: int) -> Array:
         moments[:, :-1, :-1] - sums[:, :, None] * sums[:, None] / np.maximum(n, 1.0)[:, None, None]
     )
     squares, products, total = centred[:, :-1, :-1], centred[:, :-1, -1], centred[:, -1, -1]
-    # Of a motor at one load the drivers are nearly one and the same.
+    # Of a motor at one load the drivers are nearly the same.
     inverse = np.linalg.pinv(squares, rcond=1e-9, hermitian=True)
     by_drivers = np.einsum("li,lij,lj->l", products, inverse, products)
     enough = (n >= max(LEAST_SHARE * most, moments.shape[1])) & (total > 0.0)

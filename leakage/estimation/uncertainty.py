@@ -55,7 +55,7 @@ class Interval:
     half_width: float  # half of its width, in the estimate's unit
     standard_error: float  # cluster-robust standard error, in the estimate's unit
     degrees_of_freedom: float  # of Student's t, at least 1
-    # Share of what the samples say of it that rests on one single block, at least 1/b.
+    # Share of what the samples say of it that rests on a single block, at least 1/b.
     largest_block_share: float
 
 

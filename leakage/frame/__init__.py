@@ -1,1 +1,1 @@
-"""Fit of one data frame, with its figures and words, for notebooks."""
+"""Fit of a data frame, with its figures and words, for notebooks."""

@@ -66,8 +66,8 @@ def fit_frame(
         None: as the motor declares it.
     train, validate
         Periods that the motor is fitted to and judged on: begin and end, or several such pairs, in
-        the frame's times. Only blocks that lie within one as a whole count. None: estimates are
-        from all samples; a fit to the first 80 % of them is judged on the others.
+        the frame's times. Only blocks that lie within a period as a whole count. None: estimates
+        are from all samples; a fit to the first 80 % of them is judged on the others.
     columns
         Names of the columns in the frame, where they differ.
     tolerances

@@ -152,7 +152,7 @@ class FrameFit:
         speed_rpm: float,
         charge_over_case_bar: float | None = None,
     ) -> LeakageJudgement:
-        """Return leakage at one condition, flushing excluded, with verdict and interval.
+        """Return leakage at a condition, flushing excluded, with verdict and interval.
 
         The interval is from the samples; the verdict counts model and sensors, too.
         """
@@ -204,7 +204,7 @@ class FrameFit:
         estimate = self.estimate
         if estimate.misfit is None:
             return np.zeros(len(contrasts))
-        # In the order of the nightly run: another one differs in the last bits.
+        # In the order of the nightly run: another order differs in the last bits.
         reach = model_errors(estimate.whole, estimate.fit.proven_minimum.fixed, contrasts, 1.0)
         return factor * reach * estimate.misfit.l_per_min
 
@@ -257,7 +257,7 @@ class FrameFit:
         return str(self.summary())
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return estimates as columns, one row a coefficient."""
+        """Return estimates as columns, a row for each coefficient."""
         paths, intervals = self.paths.values(), self.conf_int().values()
         judgements = self.judgements.values()
         totals = [
@@ -313,7 +313,7 @@ class FrameFit:
 
 
 def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:
-    """Values of samples on the rows of their frame; on the samples themselves without one."""
+    """Values of samples on the rows of their frame; on the samples themselves without a frame."""
     if frame is None:
         return values
     rows = np.full(len(samples.complete), np.nan)

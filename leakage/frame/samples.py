@@ -229,7 +229,7 @@ class FrameTable:
 
 
 def _opened(frame: Any) -> nw.DataFrame[Any]:
-    """Return a frame of any kind, or arrays by name, as one of narwhals."""
+    """Return a frame of any kind, or arrays by name, as narwhals' frame."""
     try:
         if isinstance(frame, Mapping):
             return nw.from_dict(frame, backend="polars")

@@ -36,7 +36,7 @@ class AnnularGap(Law):
     .. math:: Q = n \frac{\pi r\,(c\,h\,e^{-|\Delta P|/X})^3}{6 l}\,(1 + 1.5 e^2)\,
         \frac{|\Delta P|}{\eta} = K\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
 
-    The piston ring, the balance piston and the balance sleeve follow this one law: the ring with
+    The piston ring, the balance piston and the balance sleeve follow this law: the ring with
     a deformation constant, the piston with an eccentricity, the sleeve with both and c = 1.1.
 
     `name`: Name of the path.
@@ -96,7 +96,7 @@ class AnnularGap(Law):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gap height and, where there is one, eccentricity."""
+        """Gap height and, where the path has it, eccentricity."""
         return (self.gap,) if self.eccentricity is None else (self.gap, self.eccentricity)
 
     @property
@@ -110,7 +110,7 @@ class AnnularGap(Law):
 
         .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
 
-        h in [µm], e where the path has one, [-], along the last axis; K in [m³].
+        h in [µm], e where the path has it, [-], along the last axis; K in [m³].
         """
         given = np.asarray(values, dtype=np.float64)
         gap_um = given[..., 0]
@@ -159,7 +159,7 @@ class AnnularGap(Law):
         limits: tuple[float, float] | None,
         roughness_m: tuple[float, float],
     ) -> tuple[DerivedFigure, ...]:
-        """Return gap height, eccentricity where there is one, and film thickness ratio."""
+        """Return gap height, eccentricity where the path has it, and film thickness ratio."""
         gaps_um, eccentricities = self._feasible(coefficient)
         # Λ = h (1 − e) / √(R_a1² + R_a2²) at the narrowest place, section 2.2.4 of the thesis.
         roughness, (least, most) = math.hypot(*roughness_m), eccentricities

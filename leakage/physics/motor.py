@@ -38,9 +38,9 @@ class Motor:
 
     Notes
     -----
-    In the statistics of a night each free path but the constant has one column, then come
+    In the statistics of a night each free path but the constant has a column, then come
     `FIXED_COLUMNS`: the ones that the flushing multiplies, the sum of the paths that are not
-    free, and the measured flow. A fixed flushing is no part of the known flow, so that one set
+    free, and the measured flow. A fixed flushing is no part of the known flow, so that a single set
     of statistics serves every flushing mode.
     """
 
@@ -73,7 +73,7 @@ class Motor:
 
     @cached_property
     def column_paths(self) -> tuple[Law, ...]:
-        """Free paths but the constant, in declared order: one column each."""
+        """Free paths but the constant, in declared order: a column each."""
         return tuple(path for path in self.paths if path.is_free and not isinstance(path, Constant))
 
     @cached_property
@@ -137,14 +137,14 @@ def regressors(motor: Motor, conditions: OperatingConditions, out: Array | None 
     Returns
     -------
     ndarray
-        Shape (n, p + 2), one row a sample: the free paths in the order of `Motor.columns`,
+        Shape (n, p + 2), a row for each sample: the free paths in the order of `Motor.columns`,
         [l/min per unit of each coefficient], ones, and the known flow, [l/min].
 
     Raises ValidityError if a temperature is outside the range of Walther's equation for this oil.
 
     Notes
     -----
-    A sample that is nan in one channel is nan in the columns which depend on that channel.
+    A sample that is nan in a channel is nan in the columns which depend on that channel.
 
     Source: the thesis, equations (4), (5) and (16).
     """
@@ -224,7 +224,7 @@ def leakage_l_per_min(
 
 
 def _chunks(motor: Motor, conditions: OperatingConditions) -> Iterator[tuple[slice, list[Side]]]:
-    """Yield rows of one chunk of samples after the other, with what regressors take, side by side.
+    """Yield rows of chunks of samples in turn, with what regressors take, side by side.
 
     Sides are those from which paths leak to the case.
     """

@@ -65,7 +65,7 @@ def walther_coefficients(
 
 
 def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b: float) -> float:
-    """Walther constant A of the curve of slope B through one viscosity; raises as `_walther_z`.
+    """Walther constant A of the curve of slope B through a viscosity; raises as `_walther_z`.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def kinematic_viscosity_mm2_per_s(
     """
     temperature = np.asarray(temperature_c, dtype=np.float64)
     _require_temperature_range(temperature)
-    # 10**x as exp(x ln 10): the exponential is the fast one of the two.
+    # 10**x as exp(x ln 10): the exponential is the faster of the two.
     log10_z = np.exp(_LN10 * walther_a - walther_b * np.log(temperature + CELSIUS_ZERO_K))
     viscosity: Array = np.exp(_LN10 * log10_z) - 0.7
     if np.any(viscosity < PLAIN_WALTHER_MINIMUM_MM2_PER_S):
@@ -138,7 +138,7 @@ def _full_walther_viscosity(plain: Array) -> Array:
 
 def _require_temperature_range(temperature_c: Array) -> None:
     lowest, highest = TEMPERATURE_RANGE_C
-    # One that is nan is not compared, but looked at below.
+    # A temperature that is nan is not compared, but looked at below.
     if (
         temperature_c.min(initial=lowest) >= lowest
         and temperature_c.max(initial=highest) <= highest

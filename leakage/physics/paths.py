@@ -1,4 +1,4 @@
-r"""The laws of the leakage paths, one family with one surface: parameters, base, and three laws.
+r"""The laws of the leakage paths, a family with one surface: parameters, base, and three laws.
 
 Each law splits its flow into a lumped *coefficient*, which holds geometry and what is estimated,
 and a *regressor*, which holds the operating conditions:
@@ -81,7 +81,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class PathTolerance:
-    """A path as it would be with one of its constants off by the stated tolerance."""
+    """A path as it would be with a constant off by the stated tolerance."""
 
     constant: str  # name of the constant, in words
     share: float  # stated tolerance, relative
@@ -162,7 +162,7 @@ class Law(ABC):
         limits: tuple[float, float] | None,  # noqa: ARG002
         roughness_m: tuple[float, float],  # noqa: ARG002
     ) -> tuple[DerivedFigure, ...]:
-        """Figures that a coefficient and its interval, if there is one, imply; none by default.
+        """Figures that a coefficient and its interval, if it has one, imply; none by default.
 
         `roughness_m` is R_a of the two surfaces, [m].
         """
@@ -230,7 +230,7 @@ class Laminar(Law):
 
     `name`: Name of the path.
     `count`: Number n of interfaces at high pressure, [-].
-    `loss_factor`: C_d of one interface, [m3].
+    `loss_factor`: C_d of an interface, [m3].
 
     Raises ParameterError if the count is not positive, or the loss factor negative or of another
     unit.
@@ -260,7 +260,7 @@ class Laminar(Law):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The loss factor of one interface."""
+        """The loss factor of an interface."""
         return (self.loss_factor,)
 
     def coefficient(self, values: Values) -> Array:
@@ -391,7 +391,7 @@ class SpeedCurve(Law):
         return self.scale.name
 
     def curve_l_per_min(self, speed_rpm: Array) -> Array:
-        """Return leakage f(|ω|) of one interface at ΔP₀ and η₀, shape (n,), [l/min].
+        """Return leakage f(|ω|) of an interface at ΔP₀ and η₀, shape (n,), [l/min].
 
         Beyond the range of the points the value at its end.
         """

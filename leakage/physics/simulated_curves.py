@@ -71,7 +71,7 @@ def fit_speed_curve(points: ArrayLike) -> tuple[float, ...]:
 
     .. math:: f(\omega) = a \omega^5 + b \omega^4 + c \omega^3 + d \omega^2 + e \omega + f
 
-    Coefficients have the highest power first. The points (ω, Q) of one interface, shape (n, 2), are
+    Coefficients have the highest power first. The points (ω, Q) of an interface, shape (n, 2), are
     in rpm and l/min, and not negative.
 
     Raises CurveError if there are fewer than 6 different speeds, a value is negative, or the

@@ -1,4 +1,4 @@
-"""One watch over a motor's nights: what changed, since when, by how much, and through what.
+"""The watch over a motor's nights: what changed, since when, by how much, and through what.
 
 Arrays in, frozen results out; imports nothing but `leakage.physics` and `leakage.errors`. From the
 bottom up: `nights` (what goes in and comes out), `choices` (constants, with their reasons),

@@ -121,7 +121,7 @@ def settling(state: WatchState) -> WatchState:
 
 
 def _reversal(state: WatchState) -> WatchState | None:
-    """Return the change that settles, adopted as it was, with a reversal; None without one.
+    """Return the change that settles, adopted as it was, with a reversal; None if none settles.
 
     A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
     """
@@ -240,7 +240,7 @@ def _before(state: WatchState, detected_on: int) -> ChangeInForce | None:
 
 
 Earlier = Callable[[int], Sequence[NightBlocks]]
-# Nights without an odd one after which odd nights are over.
+# Nights without an odd night after which odd nights are over.
 QUIET_NIGHTS = 30
 
 
@@ -307,7 +307,7 @@ def _taken_for_granted(final: WatchState) -> WatchState:
         along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
         size = level.size.value
     flow = abs(size * of_flow)
-    # Where several changed at once, each may have, one sign by half of it.
+    # Where several changed at once, each may have, a sign by half of it.
     weights = (1.0 - several) * attribution.weights + several / 2.0 * causes.is_half[STEP]
     # What rises on is of no baseline period yet: its own begins where it was detected.
     detected_on = now.change.detected_on
@@ -380,7 +380,7 @@ def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
 def across_event(state: WatchState, machine: Machine, day: int, spread: float) -> WatchState:
     """Return the state of nights from a day on, behind an event that may move the flow by a spread.
 
-    A dated event behind which a motor is the same one, as other oil, another meter or sensor, is no
+    A dated event behind which a motor is the same, as other oil, another meter or sensor, is no
     border: what is known of the motor goes on, and the step in its night is the event's as far as
     that is likely (model.md, 7c.6). No start of a change lies across it. The baseline stays: one of
     the few nights since knew less, and detected +8 % later or not at all on four machines of four.

@@ -65,7 +65,7 @@ class Name:
 
 
 def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribution:
-    """Return the change that begins at one of some starts in order, by the nights up to the newest.
+    """Return the change that begins at any of some starts in order, by the nights up to the newest.
 
     Neither other operating conditions nor odd nights move its start: with them it moved by 2 to 8
     nights.
@@ -94,7 +94,7 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
             for cause in evidence.causes.every
         ]
     ).T
-    # What did not begin in one night has a shape of its own.
+    # What did not begin in a night has a shape of its own.
     missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
     missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
     size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], missed)
@@ -154,7 +154,7 @@ def name_of(
     causes = evidence.causes
     at = np.searchsorted(evidence.window.days, [start])
     change, score = _between(evidence, baseline, at, flow)
-    # Under a wrong model several can do what one does.
+    # Under a wrong model several can do what a single cause does.
     with_several = baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
     log_ratio = _log_ratios(evidence, causes, at, change, score, with_several=with_several)
     weights = np.exp(log_ratio - log_ratio.max())
@@ -307,7 +307,7 @@ def _identified(
     if len(group) == 1:
         return next(iter(group)), probability
     if group <= frozenset(COMMON):
-        # What is the temperature's alone is no change of the flow at one temperature.
+        # What is the temperature's alone is no change of the flow at a given temperature.
         is_warmth = likeliest == TEMPERATURE_EFFECT
         return (TEMPERATURE_EFFECT if is_warmth else ALL_FLOWS), probability
     # One gap or all, or all gaps or all flows.

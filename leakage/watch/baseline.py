@@ -53,7 +53,7 @@ class Columns:
 
     @property
     def n_surface(self) -> int:
-        """Knots of the surface; none at one pressure and one speed."""
+        """Knots of the surface; none at a single pressure and speed."""
         n = len(self.pressure_knots) * len(self.speed_knots)
         return n if n > 1 else 0
 
@@ -118,7 +118,7 @@ class Columns:
 
 
 def hat_functions(values: Array, knots: Array) -> Array:
-    """Return piecewise linear functions that are 1 at one knot and 0 at the others, shape (b, k).
+    """Return piecewise linear functions that are 1 at a knot and 0 at the others, shape (b, k).
 
     Constant beyond the first and the last knot.
 
@@ -168,7 +168,7 @@ class Baseline:
     # distinguish paths by them, and the model misses little of how the flow goes with pressure.
     identifies_gaps: bool
     identifies_speed: bool
-    flushing: int | None = None  # Place of an estimated flushing among the paths, if there is one.
+    flushing: int | None = None  # Place of an estimated flushing among the paths, if any.
 
     @property
     def n_paths(self) -> int:

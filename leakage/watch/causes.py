@@ -43,7 +43,7 @@ class Cause:
 
     @property
     def is_half(self) -> bool:
-        """One sign only."""
+        """Return whether it has a single sign."""
         return self.mean == 0.0
 
 
@@ -90,7 +90,7 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
     every = sum(gaps.values(), np.zeros(baseline.columns.n))
     if len(gaps) > 1 and not np.allclose(every, baseline.all_paths):
         yield from _both(ALL_GAPS, every)
-    # Under a wrong model two gaps can do what one does.
+    # Under a wrong model two gaps can do what a single gap does.
     if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY:
         for (gap, first), (other, second) in combinations(gaps.items(), 2):
             yield Cause(gap + AND + other, first + second)

@@ -1,6 +1,6 @@
 """Constants of the watch that a motor's own nights do not tell, each with its reason.
 
-Measured on machines that are not the fitted one: `benchmarks/results/watch.md`. All relative
+Measured on machines that are not the fitted kind: `benchmarks/results/watch.md`. All relative
 figures are shares of the flow unless they say otherwise.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 # -- a block in numbers ----------------------------------------------------------------------------
 # The scale of a residual never falls below this share of the mean flow: at a low flow the meter's
-# error is a fixed one. The floor is in the scale alone; in the expectation it raised false alarms.
+# error is fixed. The floor is in the scale alone; in the expectation it raised false alarms.
 LEAST_SCALE = 0.2
 # A change of a path is counted in its own flow, or in this share of the mean flow if that is more.
 LEAST_UNIT = 0.1
@@ -39,7 +39,7 @@ ROBUST, ROBUST_PASSES = 3.0, 4
 WANDER_NIGHTS, WANDER_SIZE, WANDER_COMMON = 6.0, 0.012, 0.75
 # By what the mean of a long record varies more where single paths wander: a memory of 0.6.
 LONG_OF_PATHS = 4.0
-# Degrees of freedom of each stretch of nights that varies as an independent one.
+# Degrees of freedom of each stretch of nights that varies by itself.
 STRETCHES = 1.2
 # Prior of the rise of each path in ten days, beside which it wanders.
 LINE_PRIOR = 0.1
@@ -71,9 +71,9 @@ OPERATING_BY_LACK, OPERATING_LEAST_ERROR = 0.5, 0.0025
 OPERATING_OTHER = 0.5
 # What operating conditions vary by at least: share of a path, bar, rpm.
 OPERATING_LEAST_SHARE, OPERATING_LEAST_BAR, OPERATING_LEAST_RPM = 0.002, 0.1, 0.04
-# Starts of so many last nights stand one by one; older ones 2, 4, 8 … nights apart.
+# Starts of so many last nights stand singly; older starts 2, 4, 8 … nights apart.
 DENSE_STARTS = 40
-# Nights that are kept one by one, and how many more until the oldest are summed up; no start lies
+# Nights that are kept singly, and how many more until the oldest are summed up; no start lies
 # among those.
 WINDOW, WINDOW_SLACK = 300, 50
 # A ramp from the first night on may have begun before it: it stands for so many starts.
@@ -86,7 +86,7 @@ LEAST_CHANGE = 0.005
 # -- since, how much, which cause ------------------------------------------------------------------
 # Evidence (in twice the gain of ln likelihood) from which a size is its own, without the prior.
 OWN_SIZE = 25.0
-# Error of the size of what did not begin in one night, as a share of it: a ramp is never straight.
+# Error of the size of what did not begin in a night, as a share of it: a ramp is never straight.
 SIZE_BY_SHAPE = 0.12
 # Power of the evidence of starts in the interval of the first day: a ramp is never quite straight.
 DATES = 0.6
@@ -97,7 +97,7 @@ SIZE_BY_LACK, SHAPE_BY_LACK = 0.3, 2.0
 # baseline's operating conditions held the truth in 85 % of nights (model.md, 7c.9).
 LEVEL_BY_LACK = 0.1
 # Error of a leakage at given conditions by the lack of fit, as a share of it. What the model misses
-# is learned of means of two minutes, in which the load varies, and is asked for at one steady load:
+# is learned of means of two minutes, in which the load varies, and is asked for at a steady load:
 # 5 % on an all-laminar machine whose lack of fit is 8 %.
 LEAKAGE_BY_LACK = 0.3
 # Relative error of a leakage beside an estimated flushing whose power of the load is not the
@@ -106,10 +106,10 @@ LEAKAGE_BY_LACK = 0.3
 LEAKAGE_BY_SHAPE, WRONG_SHAPE = 0.35, 0.02
 # A cause is named from this probability; from the other on it has most of a name, or of a size.
 NAMED, MOSTLY = 0.9, 0.5
-# ln of likelihood by which the nights have to prefer a cause to another one, to tell them apart:
+# ln of likelihood by which the nights have to prefer a cause to another, to tell them apart:
 # below it no posterior is more than its prior (model.md, 7c.4).
 APART = 3.0
-# How much rarer several causes in one night are than each single one: a large change errs in its
+# How much rarer several causes in a night are than each by itself: a large change errs in its
 # shape.
 SEVERAL_PRIOR = 0.001
 # Lack of fit up to which another grade, a sensor and a meter may be distinguished, and two gaps
@@ -118,7 +118,7 @@ LACK_TO_IDENTIFY = 0.02
 # The same over pressure and speed alone, up to which gaps may be distinguished: at most 0.015 where
 # only the film law is another, at least 0.021 on machines that follow other laws.
 LACK_TO_NAME = 0.018
-# Pressures or speeds within ± this share are one pressure or one speed: gaps cannot be
+# Pressures or speeds within ± this share count as the same pressure or speed: gaps cannot be
 # distinguished.
 ONE_POINT = 0.2
 # Share of the flow from which a path's own change is detected.
@@ -154,7 +154,7 @@ SENSOR_SPREAD = 0.05
 OWN_STEP = 0.03
 
 # -- the oil circuit -------------------------------------------------------------------------------
-# How far motors of one oil move apart: of the flow, and of the circuit's change.
+# How far motors of the same oil move apart: of the flow, and of the circuit's change.
 CIRCUIT_ERROR, CIRCUIT_SPREAD = 0.01, 0.1
 # Other motors that show the like, at least; by so many standard deviations, within errors or up to
 # this ratio of sizes: parts follow the oil unlike.

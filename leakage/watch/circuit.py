@@ -33,7 +33,7 @@ class CircuitChange:
     def is_common(self) -> bool:
         """True if most of the others, two at least, show the like and nothing is left of its own.
 
-        One other motor is no vote.
+        A single other motor is no vote.
         """
         most = max(choices.LEAST_ALIKE, self.n_others // 2 + 1)
         is_shown = self.n_alike >= most and not self.of_circuit.holds_zero
@@ -50,7 +50,7 @@ def circuit_change(size: Estimate, others: Sequence[Estimate]) -> CircuitChange 
     """Return a motor's change beside those of two others or more; None where there are fewer.
 
     The median errs by 1.25 / √n of what each errs, or of how much they differ where that is more;
-    the own part also by a tenth of the circuit's change, as motors follow one oil unlike.
+    the own part also by a tenth of the circuit's change, as motors follow the same oil unlike.
 
     Examples
     --------

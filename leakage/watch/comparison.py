@@ -47,9 +47,9 @@ def compare(
 ) -> Comparison:
     """Return what changed between some nights and those after them, by the watch's own statistic.
 
-    The date is given, so one start is asked in place of all, and no rate of false alarms is needed:
-    the likelihood ratio of a step or a ramp of any cause, with even odds before. One odd night is
-    no change.
+    The date is given, so its start is asked in place of all, and no rate of false alarms is needed:
+    the likelihood ratio of a step or a ramp of any cause, with even odds before. A single odd night
+    is no change.
 
     `machine`: Paths and oil.
     `before, after`: Nights in order.
@@ -87,7 +87,7 @@ def _with_odd_nights(evidence: Evidence, window: Window, start: int) -> float:
     """Return ln of the likelihood ratio of a change at a start, where any later night may be odd.
 
     With or without a change, all nights are ordinary, or one of them is odd and says nothing: a
-    step, which every night shows, loses next to nothing by that, and what one night made all.
+    step, which every night shows, loses next to nothing by that, and what a single night made all.
     """
     nights = np.arange(start, len(window))
     whole = np.logaddexp.reduce(evidence.of_starts(nights[:1]).log_ratio, axis=None)

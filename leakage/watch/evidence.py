@@ -34,7 +34,7 @@ class Window:
     information: Array
     score: Array
     distance: Array  # Of each night's operating conditions from the baseline's, shape (n,).
-    # ln of how much likelier each night was as an odd one, shape (n,); 0 in the baseline.
+    # ln of how much likelier each night was as an odd night, shape (n,); 0 in the baseline.
     odd: Array
     # before, score_before: Prior, and what the nights before the window say, shapes (q, q) and
     # (q,).
@@ -45,7 +45,7 @@ class Window:
         return len(self.days)
 
     def with_night(self, day: int, information: Array, score: Array, distance: float) -> Window:
-        """Return the window with one more night."""
+        """Return the window with a night more."""
         return replace(
             self,
             days=np.append(self.days, day),
@@ -83,7 +83,7 @@ class Parts(NamedTuple):
 
     @classmethod
     def of_rows(cls, rows: Array, basis: Array) -> Parts:
-        """Return the parts of rows that hold them one behind the other, shape (…, m)."""
+        """Return the parts of rows that hold them end to end, shape (…, m)."""
         q, r = basis.shape
         shapes = (q, q), (q,), (q, r), (r,), (r, r)
         ends = np.cumsum([math.prod(shape) for shape in shapes])
@@ -160,7 +160,7 @@ class Sums:
 
 STEP, RAMP = 0, 1
 SHAPES = (STEPS, RAMPS)
-# Share of the largest direction below which one is a combination of others.
+# Share of the largest direction below which another is a combination of others.
 RANK_TOLERANCE = 1e-9
 
 
@@ -357,7 +357,7 @@ class Evidence:
 def starts_of(first: int, last: int) -> tuple[Places, Array]:
     """Return candidate starts from a place to the newest, and ln of how many each stands for.
 
-    The last 40 nights one by one, older ones 2, 4, 8 … nights apart at multiples of that.
+    The last 40 nights singly, older starts 2, 4, 8 … nights apart at multiples of that.
     """
     starts, weights = [], []
     place, step = last, 1

@@ -52,7 +52,7 @@ def rises_so_far(watch: Watch, blocks: NightBlocks, merged: int) -> tuple[Rise, 
 
 
 def sudden_rise(rises: Sequence[Rise]) -> Rise | None:
-    """Return the rise that is reported: of the fewest blocks that show it; None without one.
+    """Return the rise that is reported: of the fewest blocks that show it; None without a rise.
 
     It goes on in the latest blocks.
     """

@@ -181,6 +181,6 @@ class Verdict:
     newest_night: Estimate
     present: Estimate
     # Smallest change of all flows that ten nights like these would have detected; None where no
-    # night may hold one yet.
+    # night may hold a change yet.
     smallest: float | None
     is_beyond: bool = False  # Whether this night alone is beyond `smallest`, nothing in force.

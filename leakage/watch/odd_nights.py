@@ -1,4 +1,4 @@
-"""Odd nights: a single one is no change, and those that come again and again are a state."""
+"""Odd nights: a single night is no change, and those that come again and again are a state."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, WatchState
 
 
 def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: Array) -> Array:
-    """Return what one odd night since each start accounts for, shape (k,) (model.md, 7c.1).
+    """Return what an odd night since each start accounts for, shape (k,) (model.md, 7c.1).
 
-    One odd night is no change. What the oddest says alone is what all nights say less what they say
-    without it, where odd nights do not come again and again. At other operating conditions nights
-    share an error, so that one says nearly as much as all: there it is the night whose absence
-    costs most.
+    A single odd night is no change. What the oddest says alone is what all nights say less what
+    they say without it, where odd nights do not come again and again. At other operating conditions
+    nights share an error, so that each says nearly as much as all: there it is the night whose
+    absence costs most.
     """
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest].copy()
@@ -47,7 +47,7 @@ def _without(evidence: Evidence, starts: Places, nights: Places) -> Array:
 
 
 def _odd(alone: Array) -> Array:
-    """Return ln of how much likelier a night is as an odd one, by itself; at least 0."""
+    """Return ln of how much likelier a night is as an odd night, by itself; at least 0."""
     odd = np.logaddexp(math.log(1.0 - choices.ODD), math.log(choices.ODD) + alone)
     return np.maximum(odd, 0.0)
 

@@ -123,7 +123,7 @@ class Level:
 
 
 def all_causes(machine: Machine, baseline: Baseline, undone: Cause | None) -> Causes:
-    """Return causes of a motor, and the one that undoes what was adopted, if anything was."""
+    """Return causes of a motor, and that of undoing what was adopted, if anything was."""
     return Causes.of([*causes_of(machine, baseline), *([undone] if undone else [])])
 
 
@@ -252,8 +252,8 @@ class WatchState:
     def smallest(self) -> float | None:
         """The smallest change of all flows, begun ten nights ago, that would be detected now.
 
-        Where fewer nights may hold a change, of one begun in the first of them; None where none
-        may.
+        Where fewer nights may hold a change, of a change begun in the first of them; None where
+        none may.
         """
         evidence = self.evidence_now()
         start = max(evidence.first_step, len(self.window) - choices.PRESENT_NIGHTS)
@@ -348,7 +348,7 @@ def present(state: WatchState) -> Estimate:
 
 
 def nights_beyond(state: WatchState) -> int:
-    """Return how many newest nights are wholly beyond the detection limit, on one side (7c.8).
+    """Return how many newest nights are wholly beyond the detection limit, on the same side (7c.8).
 
     Two at most; none while a change is in force.
     """
@@ -366,11 +366,11 @@ def nights_beyond(state: WatchState) -> int:
 
 
 def mean_change(state: WatchState) -> Estimate:
-    """Return the change that a state rests on: the present one, or where that may be 0 a change.
+    """Return the change that a state rests on: the present, or where that may be 0 a change.
 
     Of a first change that settles, its nights against those just before: what the model misses at
-    their operating conditions is common to both. Of an adopted one, as it settled, until the
-    present one is known well enough to contradict it.
+    their operating conditions is common to both. Of an adopted change, as it settled, until the
+    present change is known well enough to contradict it.
     """
     now, in_force = present(state), state.in_force
     if in_force is None or in_force.prior is not None or not now.holds_zero:
@@ -410,7 +410,7 @@ def is_contradicted(state: WatchState) -> bool:
 
 
 def probability_back(state: WatchState) -> float:
-    """Return how probably a change has undone the one before it; 0 where it has not.
+    """Return how probably a change has undone that before it; 0 where it has not.
 
     What is left could not be detected: without this rule the rest of a repair is a warning on some
     nights and none on others.
@@ -441,7 +441,7 @@ def change_in_force(state: WatchState) -> Change | None:
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
-    # The size of one cause is none of several.
+    # The size of a single cause is none of several.
     if in_force.attribution is not None and in_force.prior is None and not change.is_several:
         return change
     now, before = present(state), in_force.before

@@ -69,7 +69,7 @@ class Watch:
         return self.state.day
 
     def after(self, night: NightBlocks, earlier: Earlier) -> Watch:
-        """Return the watch after one more night.
+        """Return the watch after the next night.
 
         `night`: Its blocks; later than all nights before. `earlier`: The nights from a day on up to
         this one, which are asked for where a baseline period begins.
@@ -203,7 +203,7 @@ class Watch:
 
 
 def with_night(state: WatchState, night: NightBlocks) -> WatchState:
-    """Return the state with one more night, of which nothing is detected yet."""
+    """Return the state with a further night, of which nothing is detected yet."""
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)

@@ -1,4 +1,4 @@
-"""Errors of a night's blocks: a slow part, σ_s² exp(−Δt/τ), and one of each block, σ_e².
+"""Errors of a night's blocks: a slow part, σ_s² exp(−Δt/τ), and a part of each block, σ_e².
 
 By maximum likelihood over the baseline's residuals; a part that is constant over the night stands
 in for the wander from night to night while that is not known, and is left out afterwards.
@@ -19,7 +19,7 @@ from leakage.watch import choices
 START = np.log([0.01, 0.005, 0.007, 600.0])
 CENTRE, REACH = -5.0, 5.0
 LEAST_LOG_S, MOST_LOG_S = 3.0, 10.0
-# A slow part of 1 % is likelier than none or a large one, worth a hundredth of a piece.
+# A slow part of 1 % is likelier than none or a large part, worth a hundredth of a piece.
 USUAL_LOG, USUAL_WEIGHT = -4.6, 0.01
 
 
@@ -90,7 +90,7 @@ def estimate_errors(
 
 
 def _pieces(nights: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Mask, Array]:
-    """Return pieces of nights of one length, shorter ones filled up; of g rows of times.
+    """Return pieces of nights of the same length, shorter filled up; of g rows of times.
 
     Times between blocks [s], products of their residuals, and what is not filled up, shape
     (g, b, b) each; how many pieces have these times, (g,).

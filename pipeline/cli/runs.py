@@ -120,7 +120,7 @@ def fit_fleet(
 
 
 def _first_findings(*look: Any) -> Iterator[str]:
-    """Look at the first run of a motor as `columns.first_findings`, loaded where there is one."""
+    """Look at the first run of a motor as `columns.first_findings`, loaded only then."""
     from pipeline.setup.columns import first_findings
 
     return first_findings(*look)

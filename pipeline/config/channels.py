@@ -41,7 +41,7 @@ NEVER_CONSTANT = (COUNTED, "running_hours")
 
 
 class Channel(Section):
-    """One channel of the log.
+    """A channel of the log.
 
     Limits, resolution and tolerance are in the unit of the tables (bar, °C, rpm, l/min, mm2/s,
     mPa.s), whatever the log's.
@@ -96,7 +96,7 @@ class Channel(Section):
     counts: Literal["cumulative", "pulses"] | None = None
     """Drain flow in `count`: running total (`cumulative`) or counts of a sample (`pulses`)."""
     volume_per_count_cm3: Positive | None = None
-    """Volume of one count; 1000 for a counter of litres."""
+    """Volume of a count; 1000 for a counter of litres."""
     counter_rolls_over_at: Positive | None = None
     """Counts after which a running total begins anew."""
     time_offset_s: float = Field(0.0, ge=-600.0, le=600.0)

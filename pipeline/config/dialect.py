@@ -37,7 +37,7 @@ def reader_entry(name: str) -> EntryPoint:
 
 
 def reader_version(entry: EntryPoint) -> str:
-    """Return package and version of an installed reader; empty for a built-in one."""
+    """Return package and version of an installed reader; empty for a built-in."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else ""
 
 

@@ -76,11 +76,11 @@ class MotorSpec:
         return measured_curve(self.samples_of(night), self.oil_on(night), filled, night)
 
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
-        """Return the motor on a night and under one mode of flushing, with the data sheet's oil."""
+        """Return the motor on a night and under a mode of flushing, with the data sheet's oil."""
         return self.motor_with(self.oil_on(night), flushing_mode)
 
     def motor_with(self, oil: OilFile, flushing_mode: str) -> Motor:
-        """Return the motor with an oil and under one mode of flushing."""
+        """Return the motor with an oil and under a mode of flushing."""
         model = self.settings.model
         motor = Motor(
             motor_type=self.motor_type.motor_type,
@@ -110,7 +110,7 @@ class Fleet:
     def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Return the ids that are asked for.
 
-        Raises UsageError (``unknown_motor``) if the fleet has no motor of one.
+        Raises UsageError (``unknown_motor``) if the fleet has no such motor.
         """
         ids = tuple(wanted)
         known = sorted(spec.motor_id for spec in self.motors)

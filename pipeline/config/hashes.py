@@ -1,7 +1,7 @@
 """Hashes of settings: a change makes the reading, the statistics, or their figures out of date.
 
 Each stage has a hash of the settings that name it (`section.Stage`). A night whose statistics were
-shaped by others is read again; one whose figures alone were is fitted again from its stored
+shaped by others is read again; a night whose figures alone were is fitted again from its stored
 statistics, without a log.
 """
 

@@ -48,7 +48,7 @@ def load_fleet(path: Path) -> Fleet:
     if document is None:
         raise ConfigError(faults)
     fleet = validated(FleetFile, document, path.name, faults)
-    # The other files are looked at although this one has faults.
+    # The other files are looked at although this file has faults.
     readable = validated(Folders, document.get("folders", {}), path.name, [])
     folders = fleet.folders if fleet else readable or Folders()
     places = dict(_places(path, folders, faults))
@@ -186,7 +186,7 @@ def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
 
 
 def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
-    """Yield motors that take their drain flow from one place."""
+    """Yield motors that take their drain flow from the same place."""
     first: dict[object, str] = {}
     for spec in specs:
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
@@ -268,7 +268,7 @@ def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | No
 
 
 def _content(path: Path) -> bytes:
-    """All of a file. Raises OSError for a huge one, a pipe, or a device, which may never end."""
+    """All of a file. Raises OSError for a huge file, a pipe, or a device, which may never end."""
     if not (path.is_file() or path.is_dir()) and path.exists():
         raise OSError(errno.EINVAL, "is no regular file")
     with path.open("rb") as stream:

@@ -72,7 +72,7 @@ class Scale(Unknown):
 
 
 class PathSection(Section):
-    """A `[[path]]` table: base of the models, one for each law."""
+    """A `[[path]]` table: base of the models, a model for each law."""
 
     shapes = Stage.BLOCKS
 
@@ -114,7 +114,7 @@ class AnnularGapPath(PathSection):
     gap_um: GapHeight = left_out()
     """Gap height."""
     eccentricity: Annotated[Eccentricity | None, Stage.SCALE] = None
-    """Eccentricity, if the path has one."""
+    """Eccentricity, if the path has any."""
 
     def misfits(self) -> Iterator[Misfit]:
         if self.deformation_pressure_bar is not None and self.deformation_points is not None:
@@ -193,7 +193,7 @@ class LaminarPath(PathSection):
     count: Annotated[int, Stage.SCALE] = Field(ge=1)
     """Interfaces at high pressure at any time."""
     coefficient_m3: Unknown
-    """Loss factor of one interface, m³."""
+    """Loss factor of an interface, m³."""
 
     def path(self) -> Laminar:
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))

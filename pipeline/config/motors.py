@@ -72,7 +72,7 @@ class Event(Section):
 
 
 class Periods(Section):
-    """Times chosen by hand; a night that one of them touches uses only these."""
+    """Times chosen by hand; a night that any of them touches uses only these."""
 
     shapes = Stage.BLOCKS
 
@@ -110,7 +110,7 @@ class FlushingTable(Section):
     mode: Literal["none", "fixed", "estimated"] = "none"
     """Flushing in the primary fit."""
     also: tuple[Literal["none", "fixed", "estimated"], ...] = ()
-    """Other modes to fit beside the primary one."""
+    """Other modes to fit beside the primary."""
     flow_l_per_min: NonNegative = 0.0
     """The fixed value, or the first starting point."""
     minimum_l_per_min: NonNegative = 0.0
@@ -126,11 +126,11 @@ class FlushingTable(Section):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """All modes to fit, the primary one first."""
+        """All modes to fit, the primary first."""
         return (self.mode, *self.also)
 
     def path(self, mode: str) -> Constant:
-        """Return the flushing of one mode as a constant path."""
+        """Return the flushing of a mode as a constant path."""
         flow = 0.0 if mode == "none" else self.flow_l_per_min
         limits = (flow, flow)
         if mode == "estimated":

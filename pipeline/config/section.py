@@ -44,7 +44,7 @@ Misfit = tuple[Place, str, object]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing wrong in one config file."""
+    """A fault of a config file."""
 
     file: str
     key: str

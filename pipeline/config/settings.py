@@ -26,7 +26,7 @@ from pipeline.config.section import (
 Rate = Annotated[float, Field(gt=0, le=1000)]
 InputName = Literal["pressure_difference", "oil_temperature", "speed"]
 RelativeFolder = Annotated[str, Field(min_length=1)]
-# Length of a block of statistics: no moving average reaches beyond one [s].
+# Length of a block of statistics: no moving average reaches beyond it [s].
 BLOCK_S = 120.0
 # Of a longer delay the pairing of inputs and drain flow is a guess [s].
 MAXIMUM_DELAY_S = 60.0
@@ -49,7 +49,7 @@ class Nights(Section):
 
 
 class TimeBase(Section):
-    """The one grid of time on which all channels of a motor's night are brought together."""
+    """The grid of time on which all channels of a motor's night are brought together."""
 
     shapes = Stage.BLOCKS
 
@@ -115,7 +115,7 @@ class TransportDelay(Section):
 
     @property
     def steps(self) -> dict[str, int]:
-        """Sign of τ by input: + of one that lags the drain flow."""
+        """Sign of τ by input: + of an input that lags the drain flow."""
         inputs: tuple[str, ...] = self.lagging or get_args(InputName)
         return dict.fromkeys(inputs, 1 if self.lagging else -1)
 
@@ -293,7 +293,7 @@ class FleetFile(Settings):
     formerly: str = ""
     """Name before, of a fleet that was renamed: its output is its own."""
     live: bool = True
-    """Logs come every night: without a new one for `alarms.stale_after_nights` by this machine's
+    """Logs come every night: without a new log for `alarms.stale_after_nights` by this machine's
     clock the motors are `stale`. False for logs of a past time."""
     folders: Folders = left_out()
     execution: Execution = left_out()

@@ -80,7 +80,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class DemoNight:
-    """One night of one motor, counted from 1: the unit in which the demo is made."""
+    """A night of a motor, counted from 1: the unit in which the demo is made."""
 
     demo: DemoMotor
     spec: MotorSpec

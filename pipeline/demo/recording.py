@@ -1,4 +1,4 @@
-"""One motor's night: its operation, what its sensors say, and the faults of the log."""
+"""A motor's night: its operation, what its sensors say, and the faults of the log."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ TEMPERATURE_PERIODS_S: Final = (1500.0, 3000.0)
 NOISE_TIME_CONSTANT_S: Final = 3.9  # φ = 0.95 at 5 samples a second
 FROZEN_SHARE: Final = (0.40, 0.52)  # of the night
 # Faults an hour: single samples and some seconds without a value, of each channel; up to three
-# minutes without anything; stamps that repeat the one before, and as many that lie before it.
+# minutes without anything; stamps that repeat the stamp before, and as many that lie before it.
 SPIKES, OUT_OF_RANGE, BLANKS, MISSING, DISORDERED = 4.0, 1.0, 0.7, 0.7, 0.5
 SET_BACK_US: Final = 1_500_000
-OWN_DELAY_US, OWN_JITTER_US = 4_000, 2_000  # of one channel's stamps behind another's
+OWN_DELAY_US, OWN_JITTER_US = 4_000, 2_000  # of a channel's stamps behind another's
 # White noise, usual spike, and what a broken sensor says, in the units of the tables.
 SENSORS: Final[Mapping[ChannelName, tuple[float, float, float]]] = {
     "pressure_difference": (0.05, 60.0, 999.9),

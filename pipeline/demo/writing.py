@@ -49,7 +49,7 @@ def write_demo(
 
     Below ``demo/`` come ``logs/<motor_id>/``, a file a night, and, last of all, ``truth.json``; it
     must be absent, empty, or an earlier demo, whose logs are replaced. ``configs/`` is copied from
-    the shipped one where there is none, and else left alone. `motors`: ids of those that get logs,
+    the shipped where there is none, and else left alone. `motors`: ids of those that get logs,
     all if empty. The same seed makes the same files, whatever the number of workers.
 
     Raises UsageError (``demo_configs``, ``demo_folder``) if the folder cannot be written or is not
@@ -163,7 +163,7 @@ def _write_parquet(path: Path, recording: Recording, motor: MotorFile) -> None:
 
 
 def _write_mcap(path: Path, recording: Recording, motor: MotorFile) -> None:
-    """Messages of one length, in the order in which they were recorded."""
+    """Messages of the same length, in the order in which they were recorded."""
     messages: list[tuple[int, int, int, str]] = []
     for topic, (name, channel) in enumerate(motor.channels.items()):
         rows = np.flatnonzero(~np.isnan(recording.values[name]))

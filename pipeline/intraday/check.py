@@ -1,6 +1,6 @@
 """The intraday check of a fleet: each motor's night so far, rows of `intraday`, and notifications.
 
-A check holds a lock against another one, and never that of the nightly run. A published night
+A check holds a lock against another check, and never that of the nightly run. A published night
 confirms or withdraws what was reported: the nightly run asks for it here.
 """
 
@@ -52,7 +52,7 @@ from pipeline.workers.process import one_thread
 log = logging.getLogger(__name__)
 
 WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain flow by hand"
-# Nights behind that of a rise that may still say whether it was one.
+# Nights behind that of a rise that may still say whether it was real.
 MOST_NIGHTS = 7
 
 
@@ -70,7 +70,7 @@ class MotorCheck:
 
 
 def check_fleet(fleet: Fleet, motors: Sequence[str] = ()) -> tuple[MotorCheck, ...]:
-    """Check the motors of a fleet once, all if none is named; one that fails costs no other.
+    """Check the motors of a fleet once, all if none is named; a failure costs no other.
 
     Raises LockedError if another check is under way; StoreError if nothing can be published.
     """

@@ -94,7 +94,7 @@ def _newest_logs(
 ) -> list[Path]:
     """Return logs of the night with the newest stamp and the day before it, in order of their ends.
 
-    The newest stamp may be a wrong one, up to a day ahead. None where no log is new.
+    The newest stamp may be wrong, up to a day ahead. None where no log is new.
     """
     ends, is_new = dict[Path, int](), False
     for name, path in find_logs(spec)[0].items():
@@ -161,7 +161,7 @@ def _warm(begins_us: np.ndarray, night_start_us: int) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class NightsBefore:
-    """Watch of a motor after the last published night before another one."""
+    """Watch of a motor after the last published night before another."""
 
     watch: Watch
     watch_columns: WatchColumns

@@ -31,7 +31,7 @@ def row_of(
     change: Estimate | None = None,
     night: dt.date | None = None,
 ) -> Row:
-    """Return a change from one state to another."""
+    """Return a change of state."""
     row: Row = {"motor_id": motor_id, "time": utc(time_us), "reason": reason, "confirmed_by": night}
     row |= dict(zip(("from_state", "to_state"), states, strict=True))
     if change is not None:

@@ -47,7 +47,7 @@ Part = tuple[pl.DataFrame, list[tuple[Any, ...]], str]
 class Prepared:
     """Samples that are good enough to fit."""
 
-    frame: pl.DataFrame  # kept samples on one time base, as `leakage.fit_frame` takes them
+    frame: pl.DataFrame  # kept samples on a common time base, as `leakage.fit_frame` takes them
     refused: pl.DataFrame  # by night, channel and rule, as in the table `quality`
     notes: tuple[str, ...]  # nights without samples, each with its reason
     settings: Settings

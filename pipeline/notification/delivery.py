@@ -17,7 +17,7 @@ from typing import BinaryIO, Protocol
 from pipeline.config.alarms import HEADER_VALUE, VARIABLE
 from pipeline.errors import one_line
 
-# Longest time for one delivery to one receiver [s].
+# Longest time for a delivery to a receiver [s].
 DEADLINE_S = 30.0
 # Kind of a delivery with the state of every motor.
 SUMMARY = "summary"
@@ -29,7 +29,7 @@ LAST_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Content of one delivery to a receiver."""
+    """Content of a delivery to a receiver."""
 
     id: str  # the same at each try
     content: bytes  # JSON
@@ -144,7 +144,7 @@ def fault_words(reason: object) -> str:
 def filled(setting: str, text: str) -> str:
     """A value of `[alarms]` with its environment variables.
 
-    Raises UndeliveredError if one is not set, or holds characters that no header may; its content
+    Raises UndeliveredError if any is not set, or holds characters that no header may; its content
     is not quoted.
     """
 

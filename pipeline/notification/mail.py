@@ -1,4 +1,4 @@
-"""Mail as a receiver: one message a delivery, over SMTP."""
+"""Mail as a receiver: a message for each delivery, over SMTP."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Mail:
         return f"alarms.email ({self.settings.server})"
 
     def take(self, delivery: Delivery) -> None:
-        """Send it; refused if the server refuses one of the addresses."""
+        """Send it; refused if the server refuses any of the addresses."""
         message = message_of(delivery, self.settings)
         password = filled("email.password", self.settings.password)
         talk(lambda: self._send(message, password), _words, self.deadline_s)
@@ -85,7 +85,7 @@ class Mail:
 
 
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
-    """The message of a delivery; a repeated one has the same `Message-ID`."""
+    """The message of a delivery; if it is repeated, of the same `Message-ID`."""
     document = json.loads(delivery.content)
     write = _summary if document["type"] == SUMMARY else _changes
     subject, paragraphs = write(document["changes"])
@@ -129,7 +129,7 @@ def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
 
 
 def _when(row: Row) -> str:
-    """Night of a row of `alarms`, or time of one of `intraday`."""
+    """Night of a row of `alarms`, or time of a row of `intraday`."""
     return str(row.get("night") or row["time"])
 
 

@@ -1,7 +1,7 @@
 """The receivers of a config, which rows of a table each has been sent, and the sending of others.
 
 A row of the published tables is known by its key and its content. It is marked as delivered, for
-each receiver, once that has taken it: wherever a run is broken off, the next one sends it, at least
+each receiver, once that has taken it: wherever a run is broken off, the next sends it, at least
 once, and a row that is made anew is sent again only if it says something else. Rows of `intraday`
 are a topic of their own: an intraday check never waits for a run.
 
@@ -32,7 +32,7 @@ from pipeline.store.tables import files_of, read_table
 
 log = logging.getLogger(__name__)
 
-# Rows of one delivery at most.
+# Rows of a delivery at most.
 MOST_CHANGES = 500
 # Waits before a delivery is tried again in the same run [s].
 PAUSES_S = (1.0, 4.0)
@@ -102,8 +102,8 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
 def open_outbox(state: StateDatabase, names: Sequence[str], topic: Topic = OF_ALARMS) -> None:
     """Know the receivers of a config, before a run publishes anything.
 
-    What is published already is no news to a new receiver; one that the config names no more is
-    forgotten.
+    What is published already is no news to a new receiver; a receiver that the config names
+    no more is forgotten.
     """
     of = topic.table.name
     with state.transaction():
@@ -142,7 +142,7 @@ def deliver(
 ) -> tuple[str, ...]:
     """Deliver what no receiver has taken yet, each delivery noted at once; faults, as text.
 
-    A dead receiver costs a run little, and a delivery that one never takes does not hold up others
+    A dead receiver costs a run little, and a delivery that it never takes does not hold up others
     for long. After a StoreError deliveries may be repeated.
     """
     faults = []

@@ -1,4 +1,4 @@
-"""A web hook as a receiver: one POST a delivery, signed as Standard Webhooks 1.0 has it.
+"""A web hook as a receiver: a POST for each delivery, signed as Standard Webhooks 1.0 has it.
 
 The specification: https://github.com/standard-webhooks/standard-webhooks, version 1.0.0.
 """
@@ -27,7 +27,7 @@ from pipeline.notification.delivery import (
     talk,
 )
 
-SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks one
+SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks a secret
 
 
 @dataclass(frozen=True, slots=True)

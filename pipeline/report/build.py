@@ -93,7 +93,7 @@ class Folder:
         self.written: list[Path] = []
         manifest = path / MANIFEST
         if manifest.exists():
-            # Without a sound one all files are made anew, over the present ones.
+            # Without a sound index all files are made anew, over the present ones.
             with suppress(OSError, ValueError, KeyError, TypeError):
                 last = json.loads(manifest.read_bytes())
                 files, months = dict(last["files"]), dict(last["months"])
@@ -126,7 +126,7 @@ class Folder:
         return True
 
     def keep_month(self, month: str, digest: str, names: Iterable[str]) -> bool:
-        """Leave the files of a month; False if its tables have changed, or one must be made."""
+        """Leave the files of a month; False if its tables have changed, or any must be made."""
         self.months[month] = digest
         return self.months_before.get(month) == digest and all(map(self.keep, names))
 
@@ -160,13 +160,13 @@ def build_report(
     config: str = "CONFIG",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ReportResult:
-    """Write the report of a fleet's motors to a folder, or of a present one what has changed.
+    """Write the report of a fleet's motors to a folder, or of a present report what has changed.
 
     `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
     which the fleet's page shows; None: it shows none. `config`: the fleet file in commands.
     `progress`: called with the nights that are done, and how many there are.
 
-    Raises StoreError if there are no tables, one is damaged or of a newer version of the program,
+    Raises StoreError if there are no tables, any is damaged or of a newer version of the program,
     or the folder cannot be written or holds something else.
     """
     if not table_folder(fleet.output, NIGHTS).is_dir():
@@ -316,7 +316,7 @@ def _make_pages(
     folder.write("glossary.html", page_of("glossary.html", facts=facts).encode())
     for asset in (FOLDER / "assets").iterdir():
         folder.write(f"assets/{asset.name}", asset.read_bytes())
-    # One copy for all pages; it is read only where it has to be written.
+    # A copy for all pages; it is read only where it has to be written.
     if not folder.keep(CHART_LIBRARY):
         from plotly.offline import get_plotlyjs
 

@@ -1,6 +1,6 @@
 """The charts of a fleet, a motor and a night, as data; `plotly_json` has them for Plotly.
 
-A chart is some panels below one another on one axis of time.
+A chart is some panels below each other on a common axis of time.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Lines on one axis of values."""
+    """Lines on a common axis of values."""
 
     title: str
     unit: str
@@ -95,7 +95,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Panels on one axis of time, or of lags in seconds; none: there is nothing to show."""
+    """Panels on a common axis of time, or of lags in seconds; none: there is nothing to show."""
 
     time: Times
     panels: tuple[Panel, ...]
@@ -346,7 +346,7 @@ def fleet_span(motors: Sequence[MotorHistory]) -> tuple[dt.date, dt.date] | None
 
 
 def overlay(motors: Sequence[MotorHistory], level: float) -> dict[str, Any]:
-    """Return the leakage of all motors against their baselines, % by night, for one chart."""
+    """Return the leakage of all motors against their baselines, % by night, for a chart."""
     nights = sorted({night for motor in motors for night in motor.nights})
     named = [{"name": motor.motor_id, "y": _changes(motor, nights)} for motor in motors]
     return {"nights": list(map(str, nights)), "motors": named, "alarm": level, "colours": COLOURS}

@@ -100,7 +100,7 @@ def script_json(document: Mapping[str, Any]) -> str:
     Raises ValueError if it holds NaN or infinity, which JSON has not.
     """
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
-    for character in HARMFUL:  # one after the other: `translate` takes a hundred times as long
+    for character in HARMFUL:  # in turn: `translate` takes a hundred times as long
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
 

@@ -112,7 +112,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
 
 
 def _proposed_delays(output: Path, settings: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    """Yield delays of drain flows on which the newest nights agree, other than the one in use."""
+    """Yield delays of drain flows on which the newest nights agree, other than the delay in use."""
     decided = {name: own[DRAIN_DELAY] for name, own in settings.items() if DRAIN_DELAY in own}
     columns = ("motor_id", "night", *LAG_COLUMNS)
     fits = read_rows(output, FITS, sorted(decided), columns).drop_nulls().unique(columns[:2])
@@ -136,7 +136,7 @@ def failed_nights(output: Path, motor_id: str) -> dict[dt.date, str]:
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:
-    """The night of the last alarm of an indicator in one of some states.
+    """The night of the last alarm of an indicator in any of some states.
 
     Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
     """

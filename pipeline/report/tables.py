@@ -48,7 +48,7 @@ class MotorHistory:
     """A motor: its state, and all its nights."""
 
     state: MotorState  # as `motor-leakage status` prints it
-    spec: MotorSpec | None  # None of one that the config has no more
+    spec: MotorSpec | None  # None of a motor that the config has no more
     reference: tuple[float, float, float]  # reference conditions: bar, °C, rpm
     rows: pl.DataFrame  # its rows of `nights` in time order, n of them
     # Its rows of `trends` by indicator, in time order; empty where no run has made trends.
@@ -97,7 +97,7 @@ class MotorHistory:
 
     @cached_property
     def level(self) -> Array:
-        """The same of each night's baseline, l/min, shape (n,); NaN before there is one."""
+        """The same of each night's baseline, l/min, shape (n,); NaN before there is any."""
         level = np.full(len(self.nights), np.nan)
         if (known := self.trends.get("own_leakage")) is None:
             return level
@@ -118,7 +118,7 @@ class MotorHistory:
         return list(ends.unique(maintain_order=True).iter_rows())
 
     def figure(self, name: str) -> Array:
-        """A figure of `nights`, shape (n,); NaN in nights without one."""
+        """A figure of `nights`, shape (n,); NaN in nights without it."""
         return self.rows[name].cast(pl.Float64).to_numpy()
 
     def course(self, indicator: str) -> Course:

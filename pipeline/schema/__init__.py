@@ -57,7 +57,7 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name (with its unit, where it has one), type, unit and meaning."""
+    """A column: its name (with its unit, if any), type, unit and meaning."""
 
     name: str
     type: Type
@@ -88,7 +88,7 @@ class Table:
 
 
 def _lines(name: str) -> Iterator[list[str]]:
-    """Yield lines of a file beside this one, without its header."""
+    """Yield lines of a file beside this module, without its header."""
     with Path(__file__).with_name(name).open(encoding="utf-8", newline="") as file:
         lines = csv.reader(file)
         next(lines)
@@ -104,7 +104,7 @@ _COLUMNS = {
 
 
 def _table(name: str, row: str, copied: tuple[Column, ...] = ()) -> Table:
-    """Return the table of a name, of which one row is `row`; columns of another one come first."""
+    """Return the table of a name, of which one row is `row`; columns of another come first."""
     key, columns = [], []
     for _, column, in_key, kind, unit, meaning, group in _COLUMNS[name]:
         columns.append(Column(column, TYPES[kind], unit, meaning, group))
@@ -181,7 +181,7 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 
     Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
     """
-    # Not by way of Arrow, which loads pandas, where there is one, with its first array.
+    # Not by way of Arrow, which loads pandas, where it is installed, with its first array.
     return pl.DataFrame(
         _known(rows, table.name, table.schema), schema=table.schema, orient="row", strict=True
     )

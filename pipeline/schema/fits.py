@@ -22,7 +22,7 @@ def model_verdict(lack_of_fit: float) -> ModelVerdict:
 
 
 LAG_COLUMNS = ("drain_lag_s", "drain_lag_gain_percent")
-# Nights that decide on the drain flow's delay, how close their lags are to one another, and what
+# Nights that decide on the drain flow's delay, how close their lags are to each other, and what
 # they explain: steady motors scatter over the whole range (model.md, 7c.7).
 DECIDING_NIGHTS, AGREEING_S, LEAST_GAIN_PERCENT = 8, 0.5, 5.0
 

@@ -38,7 +38,7 @@ class Prepared:
     def land(self) -> None:
         """Rename it to its place; its folder is still to be flushed.
 
-        Raises StoreError if that fails; the place then holds the old file, or already the new one.
+        Raises StoreError if that fails; the place then holds the old file, or already the new.
         """
         with store_errors(self.path):
             try:
@@ -78,7 +78,7 @@ def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
 def put(path: Path, write: Write, *, durable: bool = True) -> None:
     """Write a file whole or not at all, and the folders above it.
 
-    One that is not `durable` need not survive a power cut.
+    A file that is not `durable` need not survive a power cut.
 
     Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
     its folder, fails, the new file may be there already.
@@ -90,7 +90,7 @@ def put(path: Path, write: Write, *, durable: bool = True) -> None:
 
 
 def make_folders(folder: Path) -> None:
-    """Make a folder and the missing ones above it; raises OSError if one cannot be made."""
+    """Make a folder and the missing ones above it; raises OSError if any cannot be made."""
     if not folder.is_dir():
         make_folders(folder.parent)
         try:
@@ -110,7 +110,7 @@ def flush_path(path: Path) -> None:
 
 
 def move(path: Path, place: Path) -> None:
-    """Rename a file within its folder, over one of that name; raises StoreError if it cannot be."""
+    """Rename a file within its folder, over any of that name; raises StoreError if it cannot be."""
     with store_errors(place):
         path.replace(place)
         flush_path(place.parent)
@@ -143,7 +143,7 @@ def store_errors(path: Path, what: str = "written") -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for one run; the lock ends with the process, however that ends.
+    """Hold a folder for a run; the lock ends with the process, however that ends.
 
     Raises LockedError if another run holds it; StoreError if it cannot be locked.
     """
@@ -178,7 +178,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def interrupts_held() -> Iterator[list[int]]:
-    """Hold back a first signal, and yield the list of those that came; a second one acts."""
+    """Hold back a first signal, and yield the list of those that came; a second acts."""
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield came  # signals go to the main thread

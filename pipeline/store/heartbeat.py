@@ -70,7 +70,7 @@ def heartbeat_file(output: Path) -> Path:
 
 
 def read_heartbeat(output: Path) -> Beat | None:
-    """Return the last beat; None without a valid one."""
+    """Return the last beat; None without a valid beat."""
     try:
         return TypeAdapter(Beat).validate_json(heartbeat_file(output).read_bytes())
     except (OSError, ValueError):
@@ -133,13 +133,13 @@ class Heartbeat:
 
 
 def last_good_run(output: Path) -> dt.datetime | None:
-    """End of the last run after which no failure stands; None without one that can be read."""
+    """End of the last run after which no failure stands; None without a readable run."""
     ends = (run["finished_at"] for run in runs_back(output) if run["status"] == GOOD_RUN)
     return next(ends, None)
 
 
 def runs_back(output: Path) -> Iterator[Mapping[str, Any]]:
-    """Yield rows of `runs`, the newest first, up to one that cannot be read."""
+    """Yield rows of `runs`, the newest first, up to a row that cannot be read."""
     try:
         for path in reversed(files_of(output, RUNS)):
             yield from reversed(read_table(path, RUNS).sort("started_at").to_dicts())

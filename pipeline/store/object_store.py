@@ -1,4 +1,4 @@
-"""A bucket of an object store, S3, Azure or Google, and the copy of an output's tables in one.
+"""A bucket of an object store, S3, Azure or Google, and the copy of an output's tables in it.
 
 Credentials come from the environment alone, by the names of each provider's own tools.
 """
@@ -92,11 +92,11 @@ class ObjectStore:
         second = dt.timedelta(seconds=1)
         waits = {"init_backoff": second / 10, "max_backoff": 5 * second, "base": 2}
         retries = {"max_retries": RETRIES, "backoff": waits, "retry_timeout": 60 * second}
-        client: Any = from_url  # its overloads know one provider each
+        client: Any = from_url  # its overloads know a provider each
         return cls(url.rstrip("/"), client(url, retry_config=retries))
 
     def put(self, key: str, content: bytes) -> None:
-        """Put an object, in place of one that has its key."""
+        """Put an object, in place of any that has its key."""
         with self._store_errors(key, "written"):
             self._client.put(key, content, use_multipart=False)
 
@@ -196,7 +196,7 @@ def copy_output(url: str, output: Path) -> None:
     """Copy new and changed tables of an output folder to a URL.
 
     Objects have the names of the files. The copy's own `manifest.json` says what is there; it is
-    written last, so a copy that was broken off is completed by the next one. The caller holds the
+    written last, so a copy that was broken off is completed by the next. The caller holds the
     folder's lock. Files that are no longer published are removed at the end.
 
     Raises StoreError if the store refuses a request, or a file is not what was published.

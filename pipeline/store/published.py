@@ -114,7 +114,7 @@ def accepted_digests(state: StateDatabase, name: str) -> frozenset[str]:
 def verify_file(state: StateDatabase, name: str) -> VerifiedFile:
     """Read a file and compare it.
 
-    One with a fault is read twice: a run may have published it in between, or a read have failed.
+    With a fault it is read twice: a run may have published it in between, or a read have failed.
     Raises StoreError (``store_newer``) for an unlisted file of a newer version of the program.
     """
     file = _verify(state, name)

@@ -1,6 +1,6 @@
 """Rows on their way into tables: staged by the tasks of motors, published by the run.
 
-A task leaves its rows in one file. In its first line that has an index: of each table file that
+A task leaves its rows in a file. In its first line that has an index: of each table file that
 rows go into the nights, also those without rows, which replace rows of before. An Arrow stream each
 follows.
 
@@ -60,7 +60,7 @@ TYPES = {
     TIMESTAMP: "TIMESTAMPTZ",
 }
 
-# Rows of one table, by night.
+# Rows of a table, by night.
 StagedNights = Mapping[dt.date, Sequence[Mapping[str, object]]]
 # Rows of a table file, given those that are there.
 Change = Callable[[pl.DataFrame], pl.DataFrame]
@@ -68,7 +68,7 @@ Change = Callable[[pl.DataFrame], pl.DataFrame]
 
 @dataclass(frozen=True, slots=True)
 class Staged:
-    """Staged rows of a motor that go into one table file, not read yet."""
+    """Staged rows of a motor that go into a table file, not read yet."""
 
     path: Path
     begin: int
@@ -134,7 +134,7 @@ def read_staged(
     table: Table, staged: Mapping[str, Staged], run_id: str
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Rows of motors for a table file, and the motors and nights of which they are all rows."""
-    # As one chunk: Polars takes chunks over one by one.
+    # As one chunk: Polars takes chunks over singly.
     rows = pl.from_arrow(pa.concat_tables(part.rows() for part in staged.values()).combine_chunks())
     assert isinstance(rows, pl.DataFrame)
     pa.default_memory_pool().release_unused()  # the motors' own copies
@@ -172,7 +172,7 @@ class Publisher:
 
         `published` is called in the transaction that notes the last files.
 
-        Raises StoreError if a file cannot be written, or the present one is damaged.
+        Raises StoreError if a file cannot be written, or the present file is damaged.
         """
         staged = staged_in(self.staging / folder, tables, motor_ids)
         months = sorted({label[:7] for _, label in staged})
@@ -188,7 +188,7 @@ class Publisher:
         rmtree(self.staging / folder, ignore_errors=True)
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
-        """Publish a table that is one file, whatever is there; raises as `nights`."""
+        """Publish a table that is a single file, whatever is there; raises as `nights`."""
         path = whole_file(self.state.output, table)
         before = verify_file(self.state, name_of(self.state.output, path)).sha256 or UNREAD
         self._publish([partial(_new_file, path, rows, before)])
@@ -234,7 +234,7 @@ class Publisher:
         return _new_file(path, change(rows), before)
 
     def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
-        """Return SHA-256 and rows of a file that is there; no rows are added to a damaged one."""
+        """Return SHA-256 and rows of a file that is there; no rows are added to a damaged file."""
         file = verify_file(self.state, name_of(self.state.output, path))
         if file.fault is not None:
             if file.fault.code == "table_altered":
@@ -311,7 +311,7 @@ def write_views(output: Path) -> None:
 
 
 def _view(output: Path, table: Table) -> str:
-    """Return statement that makes a table's view; one without a file yet has no rows."""
+    """Return statement that makes a table's view; a table without a file yet has no rows."""
     files = f"{table_folder(Path(), table).as_posix()}/**/*{ENDING}"
     how = "union_by_name = true, hive_partitioning = false"
     rows = f"SELECT * FROM read_parquet('{files}', {how})"

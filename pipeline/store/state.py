@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 STATE_FILE = "state.db"
 STATE_FILES = (STATE_FILE, f"{STATE_FILE}-wal", f"{STATE_FILE}-shm")
-# Of `PRAGMA user_version`: an output of an earlier one is put aside and made anew from the logs.
+# Of `PRAGMA user_version`: an earlier output is put aside and made anew from the logs.
 VERSION = 4
 # What a run leaves in an output folder; the state comes last, as it says of which version all is.
 OUTPUT = ("tables", "report", "views.sql", *STATE_FILES[::-1])
@@ -110,7 +110,7 @@ class StateDatabase:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Changes that are all done, on the disk, or none; one within another is part of it.
+        """Changes that are all done, on the disk, or none; a change within another is part of it.
 
         Raises StoreError if they cannot be written.
         """
@@ -165,7 +165,7 @@ def open_state(output: Path) -> Iterator[StateDatabase]:
 
 @contextmanager
 def read_state_file(output: Path) -> Iterator[StateDatabase]:
-    """Open the state file for reading; an empty one where there is none.
+    """Open the state file for reading; an empty state where there is none.
 
     Raises StoreError as `open_state`.
     """
@@ -219,7 +219,7 @@ def _version(state: StateDatabase) -> int:
 def make_ready(output: Path, newest_run: Mapping[str, Any] | None = None) -> None:
     """At a run's start: put aside a damaged state file, or an output of an earlier version.
 
-    One that knows nothing of the `newest_run` in the tables was restored, and is as good as
+    A state that knows nothing of the `newest_run` in the tables was restored, and is as good as
     damaged. What is gone is then made anew. Wherever that is broken off, the next run goes
     on. Raises StoreError if a file cannot be moved, or is of a newer version of the program.
     """
@@ -255,7 +255,7 @@ def is_sound(output: Path) -> bool:
 
 
 def _version_of(place: Path) -> int | None:
-    """Return version of a file; 0 where there is none or an empty one, None where it is damaged.
+    """Return version of a file; 0 where there is none or it is empty, None where it is damaged.
 
     Raises StoreError (``store_newer``).
     """

@@ -30,9 +30,9 @@ ENDING = ".parquet"
 VERSION_KEY = "motor_leakage_schema_version"
 # Rows of a row group: a reader of some motors or nights leaves the others out.
 ROWS_A_GROUP = 16_384
-# Sizes of packed columns tell one state of a file from another: an engine that opens a file before
+# Sizes of packed columns tell states of a file apart: an engine that opens a file before
 # and after it is replaced finds no pages where the old footer has them. With Snappy, which is three
-# times as quick, columns of as many numbers are often of one size.
+# times as quick, columns of as many numbers are often of the same size.
 COMPRESSION = "zstd"
 OF_ARROW = pl.CompatLevel.oldest()  # its types, not those of Polars alone
 # Raised by reading a damaged file; a damaged name gives UnicodeDecodeError, a ValueError.
@@ -56,7 +56,7 @@ def table_folder(output: Path, table: Table) -> Path:
 
 
 def whole_file(output: Path, table: Table) -> Path:
-    """Return file of a table that is one file."""
+    """Return file of a table that is a single file."""
     return table_folder(output, table) / f"{table.name}{ENDING}"
 
 
@@ -128,7 +128,7 @@ def _listed(folder: Path) -> list[Path]:
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
-    """Yield nights of a table, the newest first; one with a file of its own may have no rows."""
+    """Yield nights of a table, the newest first; a night with its own file may have no rows."""
     for path in reversed(files_of(output, table)):
         if len(path.stem) > len("2026-02"):
             yield dt.date.fromisoformat(path.stem)
@@ -229,7 +229,7 @@ def from_parquet(
 
 
 def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[Any]) -> bool:
-    """Return whether a row group may have one of some values in a column; each has one leaf."""
+    """Return whether a row group may have any of some values in a column; each has one leaf."""
     if file.num_row_groups == 1:
         return True
     column = file.metadata.row_group(place).column(file.schema_arrow.get_field_index(name))

@@ -113,8 +113,8 @@ def without_past(
 ) -> list[Row]:
     """Return the new rows that people are notified of.
 
-    Of past nights, up to the last one that was reported, these are the rows of the state that is
-    in force now, where it is another than the one reported last.
+    Of past nights, up to the last that was reported, these are the rows of the state that is
+    in force now, where it is another than that reported last.
     """
     newest = {what_of(row): row for row in rows if row["night"] <= last_night}
     notified = []

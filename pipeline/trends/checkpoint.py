@@ -23,7 +23,7 @@ from pipeline.config.hashes import hash_of, own_version
 
 # Raise it when a watch is stored as other arrays.
 CHECKPOINT_VERSION = 5
-# A structured array, one record a night.
+# A structured array, a record for each night.
 Records = NDArray[Any]
 
 # Columns of `nights`.

@@ -109,7 +109,7 @@ class Course:
         self.place += 1
 
     def _spread(self, watch: Watch, night: dt.date) -> float:
-        """Return spread of the step of events since the watch's newest night; 0 without one."""
+        """Return spread of the step of events since the watch's newest night; 0 without events."""
         before, file = dt.date.fromordinal(watch.day), self.spec.file
         spreads = [
             SPREADS[event.kind]
@@ -150,7 +150,7 @@ class Course:
         return None if isinstance(drives, str) else watch.frozen_leakage_at(drives, _measured(at))
 
     def _since(self, until: int, day: int) -> list[NightBlocks]:
-        """Return blocks of the nights from a day to another one, as the watch asks for them."""
+        """Return blocks of the nights from a day to another, as the watch asks for them."""
         nights, known = self.nights, self.nights.blocks
         begin = (nights.beginning or dt.date.max).toordinal()
         earlier = [

@@ -46,7 +46,7 @@ class Decision:
     # The night that it refers to: of a reset the first night of the new baseline, of a finding on
     # parts the day on which the motor was opened.
     night: dt.date
-    finding: Finding | None = None  # result of an inspection; None without one
+    finding: Finding | None = None  # result of an inspection; None without any
     note: str = ""  # in words
     # worn, sound: parts that an inspection found so, separated by commas; None without any.
     worn: str | None = None

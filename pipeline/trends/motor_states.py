@@ -1,4 +1,4 @@
-"""A motor's state in one row: what `status` prints, and the table `latest` publishes."""
+"""A motor's state as a row: what `status` prints, and the table `latest` publishes."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class MotorState:
 
 
 def fit_words(name: str, percent: float) -> str:
-    """Return a fit with its name; a poor one is called that.
+    """Return a fit with its name; a poor fit is called that.
 
     Examples
     --------
@@ -251,7 +251,7 @@ def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]
     said of them since.
 
     Without a table `latest` that is whole they are made from the other tables; raises StoreError if
-    one of these is damaged.
+    any of these is damaged.
     """
     try:
         rows = read_table(whole_file(output, LATEST), LATEST).drop("run_id")

@@ -32,7 +32,7 @@ SHORT, NIGHTS_COMPARED, FEWEST_COMPARED = 0.8, 14, 5
 
 @dataclass(slots=True)
 class MotorTrends:
-    """A motor's trends: rows by table, of the nights from a first one on.
+    """A motor's trends: rows by table, of the nights from a first night on.
 
     `changed` is the last night so far in which a change was in force; `drifts` are the sensors to
     be checked on each night, in words.
@@ -165,7 +165,7 @@ def _add_state_since(nights: Sequence[Row], changes: Sequence[Row]) -> None:
 
 
 def _last_changed(alarms: Sequence[Row], first: dt.date) -> dt.date:
-    """Return the last night before one in which a change of the leakage was in force."""
+    """Return the last night before that in which a change of the leakage was in force."""
     states = sorted((row["night"], row["to_state"]) for row in alarms if what_of(row) == LEAKAGE)
     last, is_changed = dt.date.min, False
     for night, state in states:
@@ -235,7 +235,7 @@ def _of_change(night: NightState, change: Change) -> Row:
 
 
 def _leakages(night: NightState) -> Row:
-    """Return leakages at the motor's own and at the reference conditions, or why one is missing."""
+    """Return leakages at the motor's own and at the reference conditions, or why any is missing."""
     if not night.n_blocks:
         return {"leakage_reason": night.why_no_blocks}
     row: Row = {}

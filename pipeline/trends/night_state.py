@@ -88,7 +88,7 @@ class NightState:
     period: BaselinePeriod
     n_blocks: int
     n_waiting: int  # nights so far of a baseline that is not whole
-    silent: int  # nights since the last one with blocks
+    silent: int  # nights since the last with blocks
     why_no_blocks: str = ""  # empty where the night has some
     fitted: Estimate | None = None  # reference leakage of the night's own fit
     baseline: Baseline | None = None

@@ -66,7 +66,7 @@ FILE_COLUMNS = ("motor_id", "night", "message")
 HALF = float(ndtri(0.975))
 # The model of the night before is at most so old.
 MODEL_AGE = 31 * DAY
-# Nights without a log after which nothing is said of a motor until it has one again.
+# Nights without a log after which nothing is said of a motor until it has logs again.
 LONGEST_SILENCE = 92
 # Nights before, whose mean share of running hours a night without a log takes.
 NIGHTS_BEFORE = 30
@@ -87,7 +87,7 @@ OTHER_SETTINGS = "other settings from"
 
 @dataclass
 class PublishedNights:
-    """A motor's nights as they are published, one record each, increasing.
+    """A motor's nights as they are published, a record each, increasing.
 
     A night that no log covers is a night: what a run said of it then is said of it later, too.
     The watch goes over the nights from `beginning` on, be it for the other motors of its oil
@@ -309,7 +309,7 @@ def _records(nights: PublishedNights) -> Records:
 
 
 def _beginning(nights: PublishedNights, first: dt.date) -> tuple[dt.date, bool]:
-    """Return the night from which on a watch has to go to know a first one and those after it.
+    """Return the night from which on a watch has to go to know a first night and those after it.
 
     And whether it goes on from the checkpoint.
     """
@@ -371,7 +371,7 @@ def _night_blocks(watch_columns: WatchColumns, stored: StoredBlocks | None) -> N
 
 
 def every_night(records: Records, until: dt.date) -> Records:
-    """Return records of every night up to one, those without a row as well.
+    """Return records of every night up to a day, those without a row as well.
 
     Of a motor that has been silent for long nothing is said any more: a clock was wrong, or it is
     gone.
@@ -410,7 +410,7 @@ def periods_of(
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{_noted(event.note)}"
             borders.append((event.date, words))
     for decision in decisions:
-        # Of a sensor's zero, or under any other name of the leakage; without one of both.
+        # Of a sensor's zero, or under any other name of the leakage; without either.
         reset = decision.indicator if decision.indicator in (*SENSORS, "") else LEAKAGE
         if decision.kind == "baseline_reset" and reset in (of_what, ""):
             words = f"reset from {decision.night}{_noted(decision.note)}"
@@ -432,7 +432,7 @@ def _noted(note: str) -> str:
 
 
 def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod:
-    """Return the baseline period of a night; the last one's for nights to come."""
+    """Return the baseline period of a night; the last night's for nights to come."""
     return next((period for period in periods if place < period.end), periods[-1])
 
 

@@ -83,7 +83,7 @@ def day(date: object) -> str:
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:
-    """Dates between which a row of `trends` has its limit reached; empty without an earliest one.
+    """Dates between which a row of `trends` has its limit reached; empty without an earliest.
 
     Examples
     --------
@@ -252,7 +252,7 @@ def _changed(night: NightState, change: Change) -> str:
     newest = verdict.newest_night
     is_shown = newest.lower > 0.0 if change.is_rise else newest.upper < 0.0
     if not is_shown:
-        # What one night does not show by itself, those since the change do.
+        # What a single night does not show by itself, those since the change do.
         mean = f"{_quantity(change)} {relative_change(verdict.present)} on average"
         size = f"{mean} {_since(change)}, {_newest_night(night)}"
     still = f"; still {'rising' if change.is_rise else 'falling'}"

@@ -35,7 +35,7 @@ class Record:
 
     trend_hash: str  # hash of their settings
     last_night: dt.date
-    # First night whose trends are out of date, as its rows were made anew; None without one.
+    # First night whose trends are out of date, as its rows were made anew; None without any.
     redo_from: dt.date | None = None
 
 
@@ -88,7 +88,7 @@ def write_record(
 def note_touched(state: StateDatabase, touched: Iterable[tuple[str, dt.date]]) -> None:
     """Mark motors' trends from a night on as out of date, before their rows change.
 
-    If the run is broken off before its trends, the next one makes them."""
+    If the run is broken off before its trends, the next makes them."""
     state.write_all(
         "UPDATE trends SET redo_from = min(coalesce(redo_from, ?2), ?2)"
         " WHERE motor_id = ?1 AND last_night >= ?2",
@@ -97,7 +97,7 @@ def note_touched(state: StateDatabase, touched: Iterable[tuple[str, dt.date]]) -
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
-    """Return motors by oil circuit; one without a circuit is a group of its own."""
+    """Return motors by oil circuit; a motor without a circuit is a group of its own."""
     circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
     for spec in specs:
         circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
@@ -108,7 +108,7 @@ def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
 class TrendMotor:
     """A motor of a task, and what is known of it before its nights are read.
 
-    `first` and `until` are the first and the last night whose trends are made; without a first one
+    `first` and `until` are the first and the last night whose trends are made; without `first`
     none are, and the motor is only seen by the others of its oil circuit.
     """
 
@@ -129,7 +129,7 @@ class TrendMotor:
         return self.record is not None and self.record.trend_hash == self.trend_hash
 
 
-Circuit = tuple[TrendMotor, ...]  # the motors of one oil circuit
+Circuit = tuple[TrendMotor, ...]  # the motors of an oil circuit
 
 
 def circuit_of(

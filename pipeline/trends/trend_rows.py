@@ -44,7 +44,7 @@ def leakage_rows(course: Course, night: NightState) -> tuple[list[Row], Row]:
     """Return rows of the two leakages with their slopes, and columns of `nights` on their limit.
 
     The limit is that of the figure that alarms: the leakage at the usual operating point at the
-    alarm level, and that at the reference conditions where the motor type states one; the days are
+    alarm level, and that at the reference conditions where the motor type states them; the days are
     those of the first that comes. What is no wear has none.
     """
     stated = night.spec.motor_type.limits.alarm_l_per_min
@@ -91,7 +91,7 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
     """Return slopes of a leakage as of a night, and the days to its limit, if it has one.
 
     Where a change is in force, of the nights since it began: a line across a step, or across
-    nights before a wear began, is none. Without one, since the baseline began.
+    nights before a wear began, is none. Without a change, since the baseline began.
     """
     nights, first, end = course.nights, night.period.first, night.place + 1
     if night.change is not None:

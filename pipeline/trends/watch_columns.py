@@ -32,7 +32,7 @@ class WatchColumns:
     coefficients: tuple[str, ...]  # names of theirs
     columns: tuple[str, ...]  # of the statistics
     is_flushed: bool  # whether the flushing is estimated
-    fixed_flushing: float  # flow of one that is stated [l/min]
+    fixed_flushing: float  # flow of a stated flushing [l/min]
     is_known: bool  # whether there is a flow without a free coefficient
     # Place of the cam rollers among the paths where their scale is estimated, and how much of the
     # known flow it is as stated; None otherwise.

@@ -47,7 +47,7 @@ class Zero:
     lower: Array
     upper: Array
     state: tuple[str, ...]  # insufficient, ok or warning
-    periods: tuple[BaselinePeriod, ...]  # nights that one zero at first serves
+    periods: tuple[BaselinePeriod, ...]  # nights that the same zero at first serves
 
     def words(self, place: int, *, is_notice: bool = False) -> str:
         """Return that the sensor has drifted by a night, in words; empty where it has not."""

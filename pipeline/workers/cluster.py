@@ -110,7 +110,7 @@ def own_versions() -> Mapping[str, str]:
 
 
 def _code_hash() -> str:
-    """Return hash of the sources: two checkouts may differ under one version number."""
+    """Return hash of the sources: two checkouts may differ under the same version number."""
     digest = hashlib.sha256()
     for package in ("leakage", "pipeline"):
         root = Path(str(files(package)))

@@ -1,6 +1,6 @@
 """Tasks of a run over worker processes of this machine, a Dask cluster, or none of them.
 
-On this machine joblib starts and feeds the workers. One that dies takes joblib's whole pool with
+On this machine joblib starts and feeds the workers. A worker that dies takes its whole pool with
 it, whoever's fault that was: the tasks that were begun are tried again alone, the others go on in a
 new call.
 """
@@ -94,10 +94,10 @@ class Workers:
     ) -> Iterator[Result]:
         """Yield results of tasks as they finish, in any order.
 
-        One that was lost may have been so by its neighbour: it is tried again when all others are
+        A task may have been lost by its neighbour's fault: it is tried again when all others are
         done, with nothing beside it. If it is lost again, what it was lost in is left out.
 
-        Tasks are plain data, drawn one by one, and not always by this thread. `lost` gives the
+        Tasks are plain data, drawn singly, and not always by this thread. `lost` gives the
         result of a lost task, `without` the task without the part that it was lost in; None where
         that is not known, or too much.
         """
@@ -171,7 +171,7 @@ class Pool:
             from joblib import Parallel, delayed  # which takes its time, and is not always needed
 
             parallel = Parallel(
-                # One would be the run's own process.
+                # A single worker would be the run's own process.
                 n_jobs=max(2, self.execution.workers),
                 pre_dispatch=self.execution.workers,
                 batch_size=1,

@@ -46,7 +46,7 @@ class Loss:
     code: str  # from `docs/operations.md`
     how: str  # what happened, in words
     part: str = ""  # the part of its work that it was lost in; empty where it named none
-    # The log that it was waiting for or reading when its time was up; empty without one.
+    # The log that it was waiting for or reading when its time was up; empty without any.
     log: str = ""
 
 
@@ -55,7 +55,7 @@ class Mark(NamedTuple):
 
     number: int = -1  # of the task; -1: none is under way
     part: str = ""  # of its work
-    log: str = ""  # the log that it waits for or reads; empty without one
+    log: str = ""  # the log that it waits for or reads; empty without any
     limit_s: float = 0.0  # the time that it has for it
     until_s: float = math.inf  # the end of that time, by the machine's monotonic clock
     n_done: int = 0  # parts of the task that are done
@@ -163,7 +163,7 @@ def _write(mark: Mark) -> None:
     global _mark
     _mark = mark
     if _file is not None:
-        # One line: what is left of a longer one comes after it.
+        # One line: what is left of a longer line comes after it.
         os.pwrite(_file, json.dumps(mark).encode() + b"\n", 0)
 
 
@@ -183,6 +183,6 @@ def _thread_pools() -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Return linear algebra on one thread: workers are as many as there are cores."""
+    """Return linear algebra on a single thread: workers are as many as there are cores."""
     limited: AbstractContextManager[object] = _thread_pools().limit(limits=1)
     return limited
