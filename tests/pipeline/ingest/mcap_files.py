@@ -31,6 +31,18 @@ JSON = ("V", "jsonschema", b"{}")
 Value = float | None
 """A reading; None where missing."""
 
+# Definitions behind a message of ROS 2 with a header.
+HEADER = """\
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
 
 def mcap_bytes(
     messages: Sequence[tuple[str, int, bytes]],

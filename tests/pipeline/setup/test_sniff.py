@@ -22,6 +22,7 @@ from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
 from tests.dialects import Parquet, Recorded
 from tests.pipeline.calling import refused
+from tests.pipeline.ingest.mcap_files import HEADER
 from tests.pipeline.setup.proposed import (
     KPA,
     NAMES,
@@ -365,16 +366,6 @@ def test_stamps_that_are_a_number_or_text(
     assert (logs["stamp"], logs["time_format"]) == ("t", form)
 
 
-STAMPED = """
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
 # By topic: message, its fields, the field of the reading, and readings.
 ROS_2: Mapping[str, tuple[str, str, str, Any]] = {
     "/dp": (
@@ -399,7 +390,7 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
     writer = Writer(buffer)
     writer.start()
     for topic, (name, fields, field, values) in ROS_2.items():
-        text = f"std_msgs/Header header\n{fields}{STAMPED}"
+        text = f"std_msgs/Header header\n{fields}{HEADER}"
         encode = serialize_dynamic(name, text)[name]
         schema = writer.register_schema(name, "ros2msg", text.encode())
         number = writer.register_channel(topic, "cdr", schema)

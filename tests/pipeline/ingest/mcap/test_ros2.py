@@ -17,6 +17,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.ingest import read_log
 from tests.pipeline.ingest.mcap_files import (
+    HEADER,
     all_values,
     error_of,
     followed,
@@ -29,7 +30,7 @@ from tests.pipeline.ingest.mcap_files import (
 )
 
 NAME = "motor_msgs/msg/Hydraulics"
-HYDRAULICS = """\
+HYDRAULICS = f"""\
 # A motor's sensors.
 uint8 STATE_OK=0
 std_msgs/Header header
@@ -51,15 +52,7 @@ float64 pressure
 Empty nothing
 ================================================================================
 MSG: motor_msgs/Empty
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
+{HEADER}"""
 FIELDS = (
     "header.stamp.sec",
     "running",
