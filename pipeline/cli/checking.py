@@ -32,7 +32,8 @@ CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused b
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.setup.check import ChannelCheck, MotorCheck
+    from pipeline.setup.check import MotorCheck
+    from pipeline.setup.samples import ChannelCheck
 
 
 def check(

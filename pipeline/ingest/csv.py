@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -379,26 +380,21 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
     There is one piece at least. The last one is what stands behind the last line end, if anything.
     Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
     """
-    is_first, rest = True, list[bytes]()  # pieces of a line whose end is not there yet
-    for data in _decoded(path, unpacked(path, piece), encoding):
-        text = data
-        if is_first:
-            text = b"".join([*rest, data])
-            rest = [text]
-            if len(text) < 4:
-                continue
-            text, is_first, rest = _first(path, text), False, []
+    pieces, begin = _decoded(path, unpacked(path, piece), encoding), b""
+    while len(begin) < 4 and (data := next(pieces, None)) is not None:
+        begin += data
+    rest = list[bytes]()  # of a line whose end is not there yet
+    for text in chain([_first(path, begin)], pieces):
         newline = text.rfind(b"\n")
         end = max(newline, text.rfind(b"\r", newline + 1)) + 1
         if end:
             yield repaired(b"".join([*rest, text[:end]]))
             rest = []
-        rest.append(text[end:])
+        if end < len(text):
+            rest.append(text[end:])
         if sum(map(len, rest)) > LONGEST_LINE:
             raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
     last = b"".join(rest)
-    if is_first:
-        last = _first(path, last)
     yield repaired(last) if last.strip() else b""
 
 

@@ -9,12 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from pipeline.arrays import SECOND_US, Times
-from pipeline.clock import latest_us, microseconds, now, utc
+from pipeline.clock import latest_us, microseconds, now
 from pipeline.config import MotorSpec
-from pipeline.config.channels import ChannelName
 from pipeline.config.nights import DAY, night, night_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel
@@ -32,7 +28,6 @@ from pipeline.logs.finding import FolderLogs, logs_of
 from pipeline.logs.motor_logs import MotorLogs
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
-from pipeline.night.cleaning import ChannelRules, Rests, clean_channel
 from pipeline.night.column_change import (
     USUAL_NIGHTS,
     column_change,
@@ -62,6 +57,9 @@ from pipeline.setup.columns import (
 )
 from pipeline.setup.propose import LARGEST_LOG_BYTES
 from pipeline.setup.samples import (
+    ChannelCheck,
+    channel_checks,
+    mostly_refused,
     operation,
     repeated_extremes,
     sampling_note,
@@ -71,33 +69,10 @@ from pipeline.trends.decisions import Decision
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
-# A rule that refuses more of a channel's samples than this has no log of single faults before it.
-MOST_REFUSED = 0.5
-HOW_TO_MEND = {
-    "duplicate_time": "do its stamps lack seconds, or fractions of them? Correct logs.time_format",
-    "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
-    "out_of_range": "is its unit, or valid_range, another one?",
-    "bad_quality": "are other codes good? Correct quality_good",
-    "not_finite": "correct the column, or logs.missing_tokens",
-}
 NO_LOG = "no log covers this night"
 # A line end in UTF-16 or UTF-32 is up to four bytes long.
 LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelCheck:
-    """A channel in one log."""
-
-    channel: str
-    unit: str  # as configured
-    n_samples: int  # missing ones included
-    rate_hz: float | None  # typical; None for fewer than two samples
-    median: float | None  # of what was kept, in the unit of the tables; None where nothing was
-    share_missing: float
-    share_refused: float  # by any rule, missing ones included
-    refused_by: Mapping[str, float]  # share by rule, of those that refused any
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,12 +384,7 @@ def _look_into(
     log = logs.content(newest)
     if log is None:  # which is a fault of its own
         return (), changes, []
-    speed = log.channels["speed"]
-    clean = clean_channel(speed, _rules(spec, "speed"))
-    rests = Rests.of(clean, spec.settings.cleaning.standstill_rpm)
-    checks = tuple(
-        _channel_check(spec, name, log.channels[name], rests) for name in spec.file.channels
-    )
+    checks = channel_checks(spec, log.channels)
     look = next((look for look in looks if look.label == label), None)
     samples = None if look is None else look.samples
     faults = [*_changed_nights(spec, logs, looks, decided)]
@@ -437,7 +407,7 @@ def _look_into(
     notes += temperature_jumps(log.channels["oil_temperature"])
     notes += unused_qualities(logs.path(newest), header(newest), spec.file)
     # What is refused mostly follows from the rest.
-    return checks, faults or [*_refused(checks, speed.time_us)], notes
+    return checks, faults or [*mostly_refused(checks, log.channels["speed"].time_us)], notes
 
 
 def _changed_nights(
@@ -468,42 +438,3 @@ def _extremes(spec: MotorSpec, logs: MotorLogs, looks: Sequence[_NightLook]) -> 
         for extreme, words in extremes.items():
             first.setdefault(extreme, f"extreme_repeated: {extreme} {words} (night {label})")
     yield from first.values()
-
-
-def _refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:
-    """Yield faults of channels of which a rule refuses most samples."""
-    for reason, how in HOW_TO_MEND.items():
-        shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
-        if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
-            share = 100 * max(shares.values())
-            if reason.endswith("_time"):
-                how += f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
-            yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
-
-
-def _rules(spec: MotorSpec, name: ChannelName) -> ChannelRules:
-    channel = spec.file.channels[name]
-    return ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
-
-
-def _channel_check(
-    spec: MotorSpec, name: ChannelName, raw: RawChannel, rests: Rests
-) -> ChannelCheck:
-    channel = spec.file.channels[name]
-    clean = clean_channel(raw, _rules(spec, name), rests=rests)
-    n = max(clean.n_samples, 1)
-    values = clean.value[~clean.refused]
-    return ChannelCheck(
-        channel=name,
-        unit=channel.unit,
-        n_samples=clean.n_samples,
-        rate_hz=SECOND_US / clean.period_us if clean.period_us else None,
-        median=float(np.median(values)) if len(values) else None,
-        share_missing=clean.counts["missing"] / n,
-        share_refused=clean.counts["any"] / n,
-        refused_by={
-            reason: count / n
-            for reason, count in clean.counts.items()
-            if count and reason not in ("any", "missing")
-        },
-    )

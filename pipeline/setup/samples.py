@@ -7,7 +7,8 @@ the keys of such a channel.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.channels import COUNTED
 from pipeline.ingest import RawChannel
+from pipeline.night.cleaning import ChannelRules, CleanChannel, Rests, clean_channel
 from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
 from pipeline.night.masks import near
 from pipeline.night.time_base import Samples
@@ -43,9 +45,80 @@ FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
 JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
 # Nor does it change by so much in so large a share of its samples.
 RESTLESS_C, RESTLESS_SHARE = 2.0, 0.02
+# A rule that refuses more of a channel's samples than this has no log of single faults before it.
+MOST_REFUSED = 0.5
+HOW_TO_MEND = {
+    "duplicate_time": "do its stamps lack seconds, or fractions of them? Correct logs.time_format",
+    "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
+    "out_of_range": "is its unit, or valid_range, another one?",
+    "bad_quality": "are other codes good? Correct quality_good",
+    "not_finite": "correct the column, or logs.missing_tokens",
+}
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.
 RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
+
+
+# What the rules of cleaning refuse
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelCheck:
+    """A channel in one log."""
+
+    channel: str
+    unit: str  # as configured
+    n_samples: int  # missing ones included
+    rate_hz: float | None  # typical; None for fewer than two samples
+    median: float | None  # of what was kept, in the unit of the tables; None where nothing was
+    share_missing: float
+    share_refused: float  # by any rule, missing ones included
+    refused_by: Mapping[str, float]  # share by rule, of those that refused any
+
+
+def channel_checks(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> tuple[ChannelCheck, ...]:
+    """Return the configured channels of a log."""
+    cleaning, logs = spec.settings.cleaning, spec.file.logs
+    rules = {
+        name: ChannelRules.of(name, channel, cleaning, logs)
+        for name, channel in spec.file.channels.items()
+    }
+    speed = clean_channel(channels["speed"], rules["speed"])
+    rests = Rests.of(speed, cleaning.standstill_rpm)
+    return tuple(
+        _channel_check(name, channel.unit, clean_channel(channels[name], rules[name], rests=rests))
+        for name, channel in spec.file.channels.items()
+    )
+
+
+def _channel_check(name: str, unit: str, clean: CleanChannel) -> ChannelCheck:
+    n = max(clean.n_samples, 1)
+    values = clean.value[~clean.refused]
+    return ChannelCheck(
+        channel=name,
+        unit=unit,
+        n_samples=clean.n_samples,
+        rate_hz=SECOND_US / clean.period_us if clean.period_us else None,
+        median=float(np.median(values)) if len(values) else None,
+        share_missing=clean.counts["missing"] / n,
+        share_refused=clean.counts["any"] / n,
+        refused_by={
+            reason: count / n
+            for reason, count in clean.counts.items()
+            if count and reason not in ("any", "missing")
+        },
+    )
+
+
+def mostly_refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:
+    """Yield faults of channels of which a rule refuses most samples."""
+    for reason, how in HOW_TO_MEND.items():
+        shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
+        if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
+            share = 100 * max(shares.values())
+            if reason.endswith("_time"):
+                how += f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
+            yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
 
 
 # Sampling
