@@ -32,7 +32,7 @@ from tests.leakage.watch.made_machine import (
 
 Array = NDArray[np.float64]
 
-SEEDS = (1, 2)
+SEEDS = (1, pytest.param(2, marks=pytest.mark.full))
 FIRST, BEGIN = 15, 30
 # Shares of ring, piston, sleeve and roller in the flow of the fitted machine.
 SHARES = np.array([of_flow(path) for path in np.eye(4)])
