@@ -7,14 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from pipeline.schema import ALARMS, LATEST, NIGHTS, Table, frame
+from pipeline.schema import LATEST, frame
 from pipeline.store.tables import whole_file
-from pipeline.trends.decisions import Decision
 from pipeline.trends.motor_states import MotorState
-from tests.pipeline.simulated import motor_toml, write_configs
-from tests.pipeline.written import write_nights, write_table
+from tests.pipeline.written import write_table
 
 Row = dict[str, Any]
 LAST = 5
@@ -97,38 +93,7 @@ def publish_latest(output: Path, states: Iterable[MotorState]) -> None:
     write_table(whole_file(output, LATEST), frame(LATEST, rows))
 
 
-def publish(output: Path, table: Table, rows: Iterable[Row]) -> None:
-    """Write rows to the files of their nights."""
-    write_nights(output, table, frame(table, [{"run_id": "r"} | row for row in rows]))
-
-
-def decision(night: int, kind: str = "acknowledged", **more: Any) -> Decision:
-    when = dt.datetime(2026, 2, 1, night, tzinfo=dt.UTC)
-    return Decision("M1", "leakage", when, kind, night_of(night), **more)  # type: ignore[arg-type]
-
-
 def alarm_row(motor: str, night: dt.date, before: str, after: str, **more: Any) -> Row:
     """A row of `alarms` of the leakage."""
     key = {"id": f"{motor} {night} leakage", "motor_id": motor, "night": night}
     return key | {"from_state": before, "to_state": after, "sentence": "it grew"} | more
-
-
-COURSE = ["ok", "ok", "warning", "warning", "alarm", "alarm"]
-SINCE = [None, None, 2, 2, 4, 4]
-
-
-@pytest.fixture
-def output(tmp_path: Path) -> Path:
-    """A fleet of M1, whose sleeve is worn, with the tables that status reads."""
-    header = 'name = "Tests"\nlive = false\n[folders]\nlogs = "../logs"\noutput = "../out"\n'
-    write_configs(tmp_path, {"M1": motor_toml("M1", "CB560")}, {}, fleet=header)
-    output = tmp_path / "out"
-    rows = [
-        night_row("M1", place, state, state_since=None if since is None else night_of(since))
-        for place, (state, since) in enumerate(zip(COURSE, SINCE, strict=True))
-    ]
-    publish(output, NIGHTS, rows)
-    moves = ((2, "ok", "warning"), (4, "warning", "alarm"))
-    publish(output, ALARMS, [alarm_row("M1", night_of(place), *move) for place, *move in moves])
-    publish_latest(output, [state_of("M1", "alarm")])
-    return output
