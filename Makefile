@@ -83,7 +83,7 @@ format: $(DEV)
 
 # Three at a time on two cores: a quarter of their time is waiting for processes and limits.
 test: $(DEV)   ## the tests of every change
-	$(BIN)/pytest -n 3 -m "not full"
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not full"
 
 test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a time)
 	$(BIN)/pytest -n 2 --dist worksteal
