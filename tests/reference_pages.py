@@ -125,8 +125,8 @@ def _key_lines(
         words = meanings.get(name) or _words(table)
         words = " ".join(words.split()).removesuffix(".")
         how = [f"`{text}`"] if (text := _default(field, table)) else [_kind(field.annotation)]
-        told = ["", field.default, *words.split("`")]
-        choices = [f"`{choice}`" for choice in _choices(field.annotation) if choice not in told]
+        named = ["", field.default, *words.split("`")]
+        choices = [f"`{choice}`" for choice in _choices(field.annotation) if choice not in named]
         how += [" ".join(choices)] * bool(choices)
         how += ["required"] * field.is_required()
         yield f"- `{prefix}{name}` ({', '.join(how)}): {words}"

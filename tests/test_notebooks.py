@@ -26,6 +26,6 @@ def test_the_notebooks_run_and_their_pictures_are_in_the_docs(
         drawn = [picture for picture, _ in figures(name, notebook)]
         assert drawn
         assert sorted(drawn) == sorted(path.name for path in DOCS.glob(f"pictures/{name}_*.png"))
-        told = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+        outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
         word = "placeholder" if name == "motor_type" else "identified"
-        assert any(word in str(output.get("data", output)) for output in told)
+        assert any(word in str(output.get("data", output)) for output in outputs)

@@ -26,8 +26,8 @@ def test_a_record_is_one_line_with_its_traceback() -> None:
         log.exception("motor %s failed", "M1")
     (line,) = stream.getvalue().splitlines()
     record = json.loads(line)
-    told = {"event": "log", "level": "error", "logger": "pipeline.somewhere"}
-    assert record.items() >= (told | {"message": "motor M1 failed"}).items()
+    expected = {"event": "log", "level": "error", "logger": "pipeline.somewhere"}
+    assert record.items() >= (expected | {"message": "motor M1 failed"}).items()
     assert record["time"].endswith("+00:00")
     assert "ValueError: invalid literal" in record["traceback"]
     line = error_line("config", "two\nlines", 2, as_json=True)
@@ -49,7 +49,7 @@ def test_errors_and_wrong_usage_are_objects(call: Call, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["", "json"])
-def test_a_worker_speaks_as_it_is_told(form: str) -> None:
+def test_a_worker_speaks_as_it_is_asked(form: str) -> None:
     code = (
         "import logging; from pipeline.messages import speak_as_parent as speak; speak(); speak();"
         "logging.getLogger('pipeline.x').warning('careful')"

@@ -183,7 +183,7 @@ def test_what_scales_it_and_its_tolerance_leave_the_statistics_as_they_are(tmp_p
 
 
 @pytest.mark.usefixtures("rules")
-def test_rules_of_its_own_refuse_and_are_told_in_their_words(tmp_path: Path) -> None:
+def test_rules_of_its_own_refuse_and_are_reported_in_their_words(tmp_path: Path) -> None:
     rows, temperature = night_rows(with_paths(tmp_path))
     refused = {(row["channel"], row["reason"]): row["n_refused"] for row in rows["quality"]}
     assert refused["speed", "settling"] == refused["oil_temperature", "settling"] == 60

@@ -129,7 +129,7 @@ def test_the_readings_given_are_not_changed_and_integers_become_float64() -> Non
         np.testing.assert_array_equal(values, [1.0, 2.0])
 
 
-def test_unknown_names_are_told_with_those_that_there_are() -> None:
+def test_unknown_names_are_listed_with_those_that_there_are() -> None:
     with pytest.raises(UsageError, match=r"atm.*bar.*psi") as wrong_unit:
         to_canonical("pressure_difference", [1.0], "atm")
     assert wrong_unit.value.code == "unit_unknown"

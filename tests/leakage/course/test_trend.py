@@ -176,17 +176,17 @@ COURSES = {
 @pytest.mark.parametrize("course", COURSES)
 def test_sets_hold_the_truth_whatever_the_course(course: str) -> None:
     generator = np.random.default_rng(1)
-    held = told = 0
+    held = trends = 0
     for _ in range(80):
         life = 120.0 * (1.0 + generator.uniform(0.1, 2.0))
         values = 1.0 + COURSES[course](np.arange(120) / life)
         found = found_of(with_noise(values, generator), 1.3)
-        told += found.status != "no_trend"
+        trends += found.status != "no_trend"
         upper = np.inf if found.upper is None else found.upper
         held += found.status != "no_trend" and (found.lower or 0.0) <= life - 119.0 <= upper
-    assert told >= 72
+    assert trends >= 72
     # 90 % of 80, less two and a half standard deviations.
-    assert held >= told - 15
+    assert held >= trends - 15
 
 
 def rising(slope: float = 0.2, noise: float = 0.005) -> Array:

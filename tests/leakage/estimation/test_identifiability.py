@@ -178,12 +178,12 @@ def fit_of_seed(
 
 
 @pytest.mark.parametrize(
-    ("flushing", "meter", "narrow", "told"),
+    ("flushing", "meter", "narrow", "bounds"),
     [(0.001, 0.0, False, (40, 60)), (0.0, -0.02, False, (0, 40)), (0.0, 0.0, True, (0, 0))],
     ids=["by noise", "by a meter's zero", "by a gap that is wider"],
 )
 def test_what_a_bound_takes_from_others_leaves_them_unidentified(
-    flushing: float, meter: float, narrow: bool, told: tuple[int, int]
+    flushing: float, meter: float, narrow: bool, bounds: tuple[int, int]
 ) -> None:
     """Where a bound moves a coefficient by more than its standard error, intervals do not hold.
 
@@ -206,7 +206,7 @@ def test_what_a_bound_takes_from_others_leaves_them_unidentified(
             if judgement.verdict == "identified":
                 identified += 1
                 held += abs(value - true) <= judgement.interval.half_width
-    assert told[0] <= identified <= told[1]
+    assert bounds[0] <= identified <= bounds[1]
     assert held >= 0.85 * identified
 
 
@@ -228,7 +228,7 @@ def test_a_bound_is_no_knowledge() -> None:
 
 
 @dataclass
-class Told:
+class StatedBlocks:
     """What blocks would say: one interval of everything, and how far columns look alike."""
 
     found: Interval
@@ -270,9 +270,9 @@ def test_verdicts_just_below_and_just_above_each_limit(
     """Half-width over K, degrees of freedom, one block's share, √VIF, span of pressure [bar]."""
     motor = placeholder_motor("CB560")
     half = share * motor.column_paths[0].configured_coefficient
-    told = Told(Interval(half, half / 2, freedom, block), root_vif**2)
-    told.active = np.array([True, True, True, False])
-    monkeypatch.setattr(identifiability, "cluster_robust", lambda *_: told)
+    stated = StatedBlocks(Interval(half, half / 2, freedom, block), root_vif**2)
+    stated.active = np.array([True, True, True, False])
+    monkeypatch.setattr(identifiability, "cluster_robust", lambda *_: stated)
     blocks = factors(made_samples(motor, noise_l_per_min=0.0), np.array([0, 1000, 2000]))
     seen = Excitation((50.0, 50.0 + span), (40.0, 60.0), (3.0, 110.0))
     ring = identify(fit(merge(blocks), motor), blocks, seen).coefficients[0]
@@ -283,8 +283,8 @@ def test_verdicts_just_below_and_just_above_each_limit(
 def test_a_leakage_needs_two_degrees_of_freedom() -> None:
     estimate, found, seen = judged()
     for freedom, verdict in ((1.9, "too_little_data"), (2.1, "identified")):
-        told: Any = Told(Interval(0.01, 0.005, freedom, 0.2))
-        one = judge_leakage(estimate, replace(found, distribution=told), seen, REFERENCE)
+        stated: Any = StatedBlocks(Interval(0.01, 0.005, freedom, 0.2))
+        one = judge_leakage(estimate, replace(found, distribution=stated), seen, REFERENCE)
         assert one.verdict == verdict
 
 

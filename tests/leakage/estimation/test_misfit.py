@@ -170,8 +170,8 @@ def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
     theta = np.array([path.configured_coefficient for path in MODEL.column_paths] + [0.0])
     # Nine columns, of two blocks each.
     for n, tells in ((17, False), (18, True)):
-        told = misfit(blocks[:n], np.arange(n), theta, FIXED, means[:n])
-        assert (told is not None) == tells
+        judged = misfit(blocks[:n], np.arange(n), theta, FIXED, means[:n])
+        assert (judged is not None) == tells
     one = np.repeat(blocks[:1], 30, axis=0)
     steady = misfit(one, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
     assert steady is None or steady.share < 0.015
@@ -182,5 +182,5 @@ def test_flushing_that_is_estimated_is_no_misfit() -> None:
     generator = np.random.default_rng(7)
     for most_flushing, is_clear in ((20.0, False), (0.0, True)):
         for _ in range(3):
-            told = misfit_of(*night(truth, generator), most_flushing)
-            assert (told.is_clear and told.share > 0.015) == is_clear
+            judged = misfit_of(*night(truth, generator), most_flushing)
+            assert (judged.is_clear and judged.share > 0.015) == is_clear

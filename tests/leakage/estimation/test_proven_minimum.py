@@ -234,9 +234,9 @@ def test_a_start_is_at_the_minimum_within_a_ten_thousandth_of_the_cost() -> None
     near, far = (
         replace(start, cost=found.proven_minimum.cost * (1.0 + above)) for above in (0.9e-4, 1.1e-4)
     )
-    told = replace(found, starts=(near, far))
-    assert told.at_minimum == (near,)
-    assert told.gap == pytest.approx(0.9e-4)
+    with_starts = replace(found, starts=(near, far))
+    assert with_starts.at_minimum == (near,)
+    assert with_starts.gap == pytest.approx(0.9e-4)
 
 
 def test_starts_at_the_minimum_share_loss_factors_while_gap_and_eccentricity_spread() -> None:

@@ -106,7 +106,7 @@ def test_a_film_pressure_share_at_its_end_steps_inwards() -> None:
     assert 0.0 < effect[3] < 0.1
 
 
-def test_an_absurd_tolerance_is_told() -> None:
+def test_an_absurd_tolerance_is_reported() -> None:
     tolerances = Tolerances(temperature_c=ChannelTolerance(offset=1000.0))
     with pytest.raises(ValidityError):
         budget_of(placeholder_motor("CB560"), tolerances, 100)

@@ -53,6 +53,6 @@ def test_what_was_paired_before_is_part_of_it() -> None:
     ],
     ids=["flow at rest", "drivers at rest", "samples far apart", "lag out of reach"],
 )
-def test_none_where_nothing_can_be_told(y: np.ndarray, u: np.ndarray, period_s: float) -> None:
+def test_none_where_nothing_can_be_estimated(y: np.ndarray, u: np.ndarray, period_s: float) -> None:
     found = transport_lag(y, u, SECONDS.astype(int), period_s)
     assert found is None or found.gain < 0.05

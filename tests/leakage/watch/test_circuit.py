@@ -48,7 +48,7 @@ def test_one_other_motor_is_no_vote() -> None:
 
 
 def together(*growths: object) -> list[list[Watch]]:
-    """The watches of a circuit's motors, night by night, each told of the others."""
+    """The watches of a circuit's motors, night by night, each knowing the others."""
     motors = [
         watched(Plant(growth=growth).nights(N, seed), first=FIRST)
         for seed, growth in enumerate(growths)

@@ -153,7 +153,7 @@ def log_ratio_by_quadrature(
 def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_operation: bool) -> None:
     data = Dense.of_seed(1)
     starts = np.arange(1, len(DAYS))
-    told = data.evidence(serial).of_starts(starts, by_operation=by_operation)
+    ratios = data.evidence(serial).of_starts(starts, by_operation=by_operation)
     for place, start in enumerate(starts.tolist()):
         covariance = data.covariance(start, serial, by_operation=by_operation)
         precise = np.linalg.inv(covariance)
@@ -163,29 +163,29 @@ def test_sums_and_ratios_are_those_of_the_whole_model(serial: float, by_operatio
                 at = shape, place, of_cause
                 first = moved @ precise @ np.concatenate(data.residuals)
                 second = moved @ precise @ moved
-                assert told.first[at] == pytest.approx(first, rel=1e-6, abs=1e-6)
-                assert told.second[at] == pytest.approx(second, rel=1e-6)
+                assert ratios.first[at] == pytest.approx(first, rel=1e-6, abs=1e-6)
+                assert ratios.second[at] == pytest.approx(second, rel=1e-6)
                 if shape == STEP:
                     # Posterior of the size, of a normal prior.
                     certain = second + cause.spread**-2
                     size = (first + cause.mean / cause.spread**2) / certain
-                    assert told.size[at] == pytest.approx(size, rel=1e-6, abs=1e-9)
-                    assert told.sd[at] == pytest.approx(certain**-0.5, rel=1e-6)
+                    assert ratios.size[at] == pytest.approx(size, rel=1e-6, abs=1e-9)
+                    assert ratios.sd[at] == pytest.approx(certain**-0.5, rel=1e-6)
                 wanted = log_ratio_by_quadrature(data, start, cause, shape, covariance)
                 # Six pairs of shape and cause share the prior.
-                assert told.log_ratio[at] == pytest.approx(wanted - math.log(6.0), abs=1e-4)
+                assert ratios.log_ratio[at] == pytest.approx(wanted - math.log(6.0), abs=1e-4)
 
 
 def test_a_start_without_one_of_its_nights_forgets_that_night() -> None:
     data, start, left_out = Dense.of_seed(3), 2, 4
     evidence = data.evidence()
-    told = evidence.of_starts(np.array([start]), without=np.array([left_out]), by_operation=False)
+    ratios = evidence.of_starts(np.array([start]), without=np.array([left_out]), by_operation=False)
     kept = np.repeat(np.arange(len(DAYS)) != left_out, BLOCKS)
     precise = np.linalg.inv(data.covariance(start, 0.3, by_operation=False)[np.ix_(kept, kept)])
     moved = data.moved(start, CAUSES[0], STEP)[kept]
     every = np.concatenate(data.residuals)[kept]
-    assert told.first[STEP, 0, 0] == pytest.approx(moved @ precise @ every, rel=1e-6)
-    assert told.second[STEP, 0, 0] == pytest.approx(moved @ precise @ moved, rel=1e-6)
+    assert ratios.first[STEP, 0, 0] == pytest.approx(moved @ precise @ every, rel=1e-6)
+    assert ratios.second[STEP, 0, 0] == pytest.approx(moved @ precise @ moved, rel=1e-6)
 
 
 def test_surroundings_are_what_nights_say_beside_a_line_in_time() -> None:
@@ -206,7 +206,7 @@ def test_surroundings_are_what_nights_say_beside_a_line_in_time() -> None:
 
 
 def test_a_wander_from_few_nights_says_less() -> None:
-    """Student's t in place of the normal, twice the gain as told.
+    """Student's t in place of the normal, twice the gain as reported.
 
     ν = n(1 − φ²)/(1 + φ²) + 6, or 1.2 n over the inflation of so long a stretch in place of n(…).
     """
@@ -263,10 +263,10 @@ def test_a_night_with_its_own_shift_says_what_its_blocks_say_with_it_in_their_er
     generator = np.random.default_rng(1)
     design, residuals = generator.normal(size=(9, 4)), generator.normal(size=9)
     spread = np.array([[2.0, 0.5], [0.5, 1.0]])
-    (told,) = effective((design.T @ design)[None], (design.T @ residuals)[None], spread)
+    (sums,) = effective((design.T @ design)[None], (design.T @ residuals)[None], spread)
     precise = np.linalg.inv(np.eye(9) + design[:, :2] @ spread @ design[:, :2].T)
-    assert told[:, :-1] == pytest.approx(design.T @ precise @ design, rel=1e-8)
-    assert told[:, -1] == pytest.approx(design.T @ precise @ residuals, rel=1e-8)
+    assert sums[:, :-1] == pytest.approx(design.T @ precise @ design, rel=1e-8)
+    assert sums[:, -1] == pytest.approx(design.T @ precise @ residuals, rel=1e-8)
 
 
 def test_spread_and_memory_are_found_again() -> None:
@@ -280,9 +280,9 @@ def test_spread_and_memory_are_found_again() -> None:
     score = np.empty((n, 3))
     for night in range(n):
         design = generator.normal(size=(6, 3)) / 0.001
-        told = np.array([*(np.array([0.02, -0.01]) + shifts[night]), 0.05])
+        true = np.array([*(np.array([0.02, -0.01]) + shifts[night]), 0.05])
         information[night] = design.T @ design
-        score[night] = design.T @ (design @ told + generator.standard_normal(6))
+        score[night] = design.T @ (design @ true + generator.standard_normal(6))
     days = np.arange(n)
     wander = estimate_wander(
         information, score, days, ALL_PATHS, np.diag([1.0, 1.0, 1.0]), WanderPrior()

@@ -43,7 +43,7 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Victim:
-    """A process that works and crashes as it is told."""
+    """A process that works and crashes on command."""
 
     stdin: IO[str]
     stdout: IO[str]
@@ -96,8 +96,8 @@ def main() -> None:
             os.write(writing, json.dumps(asdict(end)).encode())
             os._exit(0)
         os.close(writing)
-        with os.fdopen(reading) as told:
-            sys.stdout.write((told.read() or json.dumps(asdict(End()))) + "\n")
+        with os.fdopen(reading) as answer:
+            sys.stdout.write((answer.read() or json.dumps(asdict(End()))) + "\n")
         sys.stdout.flush()
         os.waitpid(child, 0)
 

@@ -1,8 +1,8 @@
 """A run or an acknowledgement that ends at any call that writes.
 
 Killed, refused once, or on a disk that is full from there on: every file is as it was or as it
-comes to be; the next run makes the tables that no crash disturbed; alarms are told at least once,
-and what people said is not lost.
+comes to be; the next run makes the tables that no crash disturbed; alarms are delivered at
+least once, and what people said is not lost.
 
 As SQLite is tested ("How SQLite Is Tested", crash and I/O error testing).
 """
@@ -150,7 +150,7 @@ def mending(fleet: TinyFleet, folder: Path) -> Case:
 
 
 def notification(_: TinyFleet, folder: Path) -> Case:
-    """Somebody is told of an alarm: at least once, and what comes twice says so by its id.
+    """An alarm is delivered: at least once, and what comes twice says so by its id.
 
     By the limit of its type a motor is in alarm from its first night on.
     """

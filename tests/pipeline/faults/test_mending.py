@@ -148,7 +148,7 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     check_repaired(output, tiny_fleet.after)
 
 
-def test_a_flipped_bit_of_any_file_is_told(output: Path) -> None:
+def test_a_flipped_bit_of_any_file_is_detected(output: Path) -> None:
     rng = np.random.default_rng(1)
     for path in sorted((output / "tables").rglob("*.parquet")):
         whole = path.read_bytes()

@@ -67,7 +67,7 @@ def published(output: Path) -> Answer:
 
 
 class Reader(threading.Thread):
-    """Asks all the time, and keeps what it was told and what went wrong."""
+    """Asks all the time, and keeps its answers and what went wrong."""
 
     def __init__(self, output: Path, read: Callable[[str], Rows]) -> None:
         super().__init__()
@@ -112,12 +112,12 @@ def test_two_states_are_published_in_turn_under_the_eyes_of_readers(
     path = own.folder / "logs" / "M1" / f"{NIGHT}.parquet"
     states = [path.read_bytes(), own.log(NIGHT, seed=8).read_bytes()]
     with remembered_fits():
-        told = []
+        states_published = []
         for state in (1, 0):
             path.write_bytes(states[state])
             own.run(output)
-            told.append(published(output))
-        assert told[0] != told[1]
+            states_published.append(published(output))
+        assert states_published[0] != states_published[1]
         readers = [Reader(output, read) for read in (opened_once, with_polars, with_duckdb)]
         for reader in readers:
             reader.start()
@@ -136,7 +136,7 @@ def test_two_states_are_published_in_turn_under_the_eyes_of_readers(
         assert reader.faults == []
         assert reader.n_answers >= n_runs
         for key, said in reader.seen.items():
-            assert said <= {one[key] for one in told}, key
+            assert said <= {state[key] for state in states_published}, key
     changed = ("fits", NIGHT)
-    assert told[0][changed] != told[1][changed]
-    assert told[0]["log_files", LATER] == told[1]["log_files", LATER]
+    assert states_published[0][changed] != states_published[1][changed]
+    assert states_published[0]["log_files", LATER] == states_published[1]["log_files", LATER]

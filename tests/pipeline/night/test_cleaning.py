@@ -153,7 +153,7 @@ def test_as_few_as_possible_go_backward(times: list[int]) -> None:
 @pytest.mark.parametrize("at", [0, 1, 50, 198, 199])
 @pytest.mark.parametrize("years", [-30, 30])
 def test_one_stamp_far_off_costs_one_sample(at: int, years: int) -> None:
-    """Only at the log's very end can a stamp in the future not be told from a real one."""
+    """Only at the log's very end a stamp in the future cannot be distinguished from a real one."""
     time = stamps(200) + 56 * 365 * 86400 * SECOND
     time[at] += years * 365 * 86400 * SECOND
     cleaned = clean_channel(raw(time, lively(200)), RULES)

@@ -63,7 +63,7 @@ WITH_PORTS = (*USUAL, 195.0, 15.0)
         ((*USUAL, 184.9, 4.9), (*USUAL, 180.49, 0.49), ""),
     ],
 )
-def test_other_columns_and_units_are_told_from_unusual_nights(
+def test_other_columns_and_units_are_distinguished_from_unusual_nights(
     tmp_path: Path, usual: tuple[float, ...], now: tuple[float, ...], words: str
 ) -> None:
     units = GAUGES if len(usual) > len(USUAL) else CANONICAL

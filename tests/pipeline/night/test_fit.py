@@ -102,7 +102,7 @@ def test_a_good_night_has_verdicts_intervals_and_shares(spec: MotorSpec) -> None
 
 
 def test_a_share_that_is_known_too_poorly_has_no_value(spec: MotorSpec) -> None:
-    """In a short night of a rough sensor the two balancing gaps are not told apart."""
+    """In a short night of a rough sensor the two balancing gaps cannot be distinguished."""
     short = operate(minutes=20.0)
     flow = configured_flow(spec, short) + white(len(short.time_us), sd=1.0)
     rows = parameters(fitted(spec, short, np.maximum(flow, 0.01)))
@@ -112,7 +112,7 @@ def test_a_share_that_is_known_too_poorly_has_no_value(spec: MotorSpec) -> None:
     assert all((row["value"] is None) == (name in unknown) for name, row in shares.items())
 
 
-def test_slow_errors_are_found_told_and_allowed_for(spec: MotorSpec) -> None:
+def test_slow_errors_are_estimated_reported_and_allowed_for(spec: MotorSpec) -> None:
     drift = lfilter([1.0], [1.0, -np.exp(-0.1 / 900.0)], white(N, 1.0, seed=3))
     truth = configured_flow(spec, LONG) + white(N)
     flows = (truth + 0.05 * drift / drift.std(), truth)

@@ -120,7 +120,7 @@ def test_logs_are_prepared_as_a_frame_of_them_is(tmp_path: Path, spec: MotorSpec
         prepare_log(tmp_path / "configs" / "fleet.toml", "M2", NIGHT)
 
 
-def test_disorder_is_cleaned_and_an_empty_channel_is_told(spec: MotorSpec) -> None:
+def test_disorder_is_cleaned_and_an_empty_channel_is_reported(spec: MotorSpec) -> None:
     time_us, values = night_like_the_demo_s(spec)
     frame = as_frame(time_us, values)
     twice = pl.concat([frame, frame[:10]])

@@ -168,7 +168,7 @@ def test_no_redirect_is_followed(server: Hook, status: int) -> None:
         (b"\x1b[2J\n\n", "answer is no HTTP"),
     ],
 )
-def test_only_an_answer_of_200_to_299_is_a_yes_and_its_words_are_not_told(
+def test_only_an_answer_of_200_to_299_is_a_yes_and_its_words_are_not_reported(
     answer: bytes, words: str
 ) -> None:
     with raw(lambda connection, _: connection.sendall(answer)) as url:

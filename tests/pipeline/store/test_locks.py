@@ -13,8 +13,8 @@ from pipeline.store.atomic_files import INTERRUPTS, interrupts_held
 
 
 @pytest.fixture
-def told() -> Iterator[list[int]]:
-    """Signals that the program's own handler was told of; it ends what is under way."""
+def received() -> Iterator[list[int]]:
+    """Signals that the program's own handler received; it ends what is under way."""
     numbers: list[int] = []
 
     def stop(number: int, _: object) -> None:
@@ -27,7 +27,7 @@ def told() -> Iterator[list[int]]:
         signal.signal(number, handler)
 
 
-def test_a_second_signal_does_not(told: list[int]) -> None:
+def test_a_second_signal_does_not(received: list[int]) -> None:
     reached = []
 
     def twice() -> None:
@@ -39,7 +39,7 @@ def test_a_second_signal_does_not(told: list[int]) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         twice()
-    assert (reached, told) == ([1], [signal.SIGTERM])
+    assert (reached, received) == ([1], [signal.SIGTERM])
 
 
 def test_another_thread_has_no_signals_to_hold() -> None:

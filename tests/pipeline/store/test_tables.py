@@ -113,12 +113,12 @@ class TestWhole:
             stream.flush()
             raise fault
 
-        told = isinstance(fault, OSError)
-        with pytest.raises(StoreError if told else type(fault)) as caught:
+        is_coded = isinstance(fault, OSError)
+        with pytest.raises(StoreError if is_coded else type(fault)) as caught:
             put(file, write)
         assert file.read_bytes() == before
         assert all_files(file.parent) == [file.name]
-        if told:
+        if is_coded:
             error = caught.value
             assert isinstance(error, StoreError)
             assert error.code == "store_write"
@@ -136,10 +136,10 @@ class TestDamage:
     def data(self, file: Path) -> bytes:
         return file.read_bytes()
 
-    def test_every_flipped_bit_of_the_pages_is_told(self, file: Path, data: bytes) -> None:
+    def test_every_flipped_bit_of_the_pages_is_detected(self, file: Path, data: bytes) -> None:
         """Or lies where it means nothing: never other rows."""
         expected = read_table(file, QUALITY)
-        told = 0
+        detected = 0
         places = range(0, 8 * footer_begin(data), 7)
         for place in places:
             flipped = bytearray(data)
@@ -148,8 +148,8 @@ class TestDamage:
             try:
                 assert_frame_equal(read_table(file, QUALITY), expected)
             except StoreError:
-                told += 1
-        assert told > 0.75 * len(places)
+                detected += 1
+        assert detected > 0.75 * len(places)
 
     @pytest.mark.parametrize("column", [column.name for column in QUALITY.columns])
     def test_a_damaged_name_is_no_column_of_nulls(

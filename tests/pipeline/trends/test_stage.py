@@ -157,7 +157,7 @@ def test_what_is_made_anew_notifies_of_what_is_in_force_and_of_nothing_past(
     assert (night_of(11), "ok", "recomputed") in rows
 
 
-def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(tmp_path: Path) -> None:
+def test_what_is_said_of_a_motor_moves_nothing_reported_of_the_others(tmp_path: Path) -> None:
     tank = [
         Nights(named(motor(), name, "mill"), 18, {"oil": step(18, 12, 0.2)}, seed=seed)
         for seed, name in enumerate("ABC", 1)

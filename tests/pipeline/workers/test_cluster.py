@@ -72,13 +72,12 @@ def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting(
     monkeypatch.setattr(cluster, "TASKS_IN_FLIGHT", 1)
     with scheduler_with(1, "--no-nanny") as processes:
         execution = processes.execution()
-        found = run(execution, kill_workers_at_three, list(range(6)))
-        told = [one for one in found if isinstance(one, str)]
-        assert [one for one in found if isinstance(one, int)] == [0, 1, 4]
-        assert len(told) == 3
-        assert all(
-            "scheduler_lost: the scheduler or its workers are gone for" in one for one in told
-        )
+        results = run(execution, kill_workers_at_three, list(range(6)))
+        lost = [result for result in results if isinstance(result, str)]
+        assert [result for result in results if isinstance(result, int)] == [0, 1, 4]
+        assert len(lost) == 3
+        gone = "scheduler_lost: the scheduler or its workers are gone for"
+        assert all(gone in message for message in lost)
         # And the next run finds none at all.
         assert code_of(execution).code == "scheduler_unreachable"
 
