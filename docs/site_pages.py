@@ -56,7 +56,7 @@ def as_markdown(notebook: Path) -> str:
         if (ROOT / "docs" / picture).exists():
             parts.append(f"![Figure of the cell above](../{picture})")
         else:
-            parts += [_output(one) for one in outputs]
+            parts += [_output(output) for output in outputs]
     return "\n\n".join(parts)
 
 

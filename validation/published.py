@@ -73,12 +73,12 @@ def judge(work: Path, minutes: float = 60.0) -> list[Table]:
 
 
 def _row(name: str, published: float, fit: dict[str, Any]) -> Row:
-    found = fit["coefficients"][0]
-    error = 100.0 * (found / published - 1.0)
+    estimate = fit["coefficients"][0]
+    error = 100.0 * (estimate / published - 1.0)
     return {
         "machine": name,
         "published K, m³": f"{published:.4g}",
-        "found": f"{found:.4g}",
+        "found": f"{estimate:.4g}",
         "error": f"{error:+.3f} %",
         "within 1 %": "yes" if abs(error) <= GOAL_PERCENT else "no",
     }

@@ -189,9 +189,10 @@ def _leakage(fit: Fit) -> Row:
 def _coverage(tables: Tables, record: Record) -> list[Row]:
     """Windows whose interval holds the leakage of the window that begins where they end."""
     fits = fits_of(tables, f"{record.name}-windows")
-    found = {fit["night"]: fit for fit in fits if fit[VALUE] is not None}
+    by_night = {fit["night"]: fit for fit in fits if fit[VALUE] is not None}
     apart = SHORT // STEP
-    pairs = [(found[n], found[n + apart * DAY]) for n in found if n + apart * DAY in found]
+    later = {night: by_night.get(night + apart * DAY) for night in by_night}
+    pairs = [(by_night[night], fit) for night, fit in later.items() if fit is not None]
     kinds = {"every 5 minutes": pairs, "one after another": pairs[::apart]}
     return [
         {

@@ -74,8 +74,8 @@ def main() -> None:
     made = made.with_variable(dashboard.DatasourceVariable("source").type("prometheus"))
     motors = dashboard.QueryVariable("motor").datasource(SOURCE)
     made = made.with_variable(motors.query(f"label_values({OF}motor_state, motor)"))
-    for one in CURVES:
-        made = made.with_panel(curve(*one))
+    for described in CURVES:
+        made = made.with_panel(curve(*described))
     for title, query, legend, unit in PANELS:
         made = made.with_panel(panel(title, unit, (query, legend)))
     text = JSONEncoder(sort_keys=True, indent=1).encode(made.build())

@@ -17,11 +17,11 @@ def read(file: LogFile) -> RawLog:
     """Read the wanted signals, one after the other."""
     with _opened(file.path) as mdf:
         start_us = round(mdf.start_time.timestamp() * 1e6)
-        found = {
+        samples = {
             name: _samples(file, mdf, channel.source, start_us)
             for name, channel in file.channels.items()
         }
-    return log_of_samples(file, found)
+    return log_of_samples(file, samples)
 
 
 @contextmanager
