@@ -31,8 +31,17 @@ from tests.pipeline.report.browser import (
     wait,
 )
 from tests.pipeline.report.conftest import change_table, demo_fleet
-from tests.pipeline.report.judged import HEADLINE, HEALTHY, NIGHTS, NOTE, REASON, WORN, YOUNG
-from tests.pipeline.report.states import ADVICE, publish_latest, state_of
+from tests.pipeline.report.judged import (
+    ADVICE,
+    HEADLINE,
+    HEALTHY,
+    NIGHTS,
+    NOTE,
+    REASON,
+    WORN,
+    YOUNG,
+    publish_latest,
+)
 
 pytestmark = needs_browser
 
@@ -57,11 +66,11 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     assert len(every) == MOTORS
     assert every[0] == WORN
     (entry,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
-    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE['alarm']}" in entry.text
+    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE}" in entry.text
     assert f"Acknowledged: {NOTE}" in entry.text
     # A state has its words beside it, and old data are marked: 11 UTC is noon in the fleet's zone.
     cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
-    assert cells[0].text == f"alarm\n{ADVICE['alarm']}"
+    assert cells[0].text == f"alarm\n{ADVICE}"
     assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
     old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
     assert old[0].startswith("2026-01-05 12:00 (")
@@ -229,12 +238,10 @@ def test_motors_are_drawn_in_one_chart_as_they_are_searched(browser: Chrome, jud
     assert "chart=90" in browser.execute_script("return location.hash")
 
 
-def test_the_command_that_acknowledges_is_filled_in(
-    browser: Chrome, output: Path, tmp_path: Path
-) -> None:
-    publish_latest(output, [state_of("CB560-01", "alarm")])
-    build_report(demo_fleet(output, "CB560-01"), tmp_path / "r", config="my/fleet.toml")
-    visit(browser, tmp_path / "r" / "motors" / "CB560-01.html")
+def test_the_command_that_acknowledges_is_filled_in(browser: Chrome, output: Path) -> None:
+    publish_latest(output)
+    build_report(demo_fleet(output, WORN), output / "report", config="my/fleet.toml")
+    visit(browser, output / "report" / "motors" / f"{WORN}.html")
     drawn(browser)
     browser.find_element(By.CSS_SELECTOR, "details summary").click()
     browser.find_element(By.NAME, "note").send_keys("the customer's rings")
@@ -243,7 +250,7 @@ def test_the_command_that_acknowledges_is_filled_in(
     wait(browser, "return document.getElementById('copied').textContent")
     command = shlex.split(str(browser.execute_script("return getSelection().toString()")))
     assert command == [
-        *("motor-leakage", "ack", "my/fleet.toml", "CB560-01"),
+        *("motor-leakage", "ack", "my/fleet.toml", WORN),
         *("--note", "the customer's rings", "--finding", "confirmed"),
     ]
 
