@@ -219,6 +219,15 @@ class MotorFile(Section):
         """Events whose nights before are no measure for those after."""
         return tuple(event for event in self.events if event.kind != "note")
 
+    def alike(self, night: dt.date) -> tuple[dt.date, dt.date]:
+        """Return since when, and until before when, readings are a night's by columns and units.
+
+        Other oil changes none of them but the flow, by as much as the model says.
+        """
+        dates = [event.date for event in self.baseline_events if event.kind != "oil_change"]
+        since = max((date for date in dates if date <= night), default=dt.date.min)
+        return since, min((date for date in dates if date > night), default=dt.date.max)
+
     @property
     def oils(self) -> tuple[str, ...]:
         """Names of the oils that the motor runs on or did."""

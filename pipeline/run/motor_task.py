@@ -326,10 +326,8 @@ class MotorRun(NightPlan):
         return usual_readings(self._rows_of(chosen, NIGHTS, tuple(COLUMNS.values())))
 
     def _fitted_nights(self, label: dt.date) -> list[dt.date]:
-        """Return the fitted nights of a night's baseline period, without the night itself."""
-        begins = [event.date for event in self.spec.file.baseline_events]
-        since = max((date for date in begins if date <= label), default=dt.date.min)
-        until = min((date for date in begins if date > label), default=dt.date.max)
+        """Return the fitted nights whose readings are a night's, without the night itself."""
+        since, until = self.spec.file.alike(label)
         return [
             night
             for night, record in sorted(self.records.items())

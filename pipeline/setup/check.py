@@ -228,8 +228,7 @@ def _every_look(
     looks: dict[dt.date, _NightLook] = {}
     while labels := sorted(logs.present() - logs.waiting() - looks.keys() - set(stays)):
         label = labels[0]
-        begins = (event.date for event in spec.file.baseline_events if event.date <= label)
-        since = max(begins, default=dt.date.min)
+        since, _ = spec.file.alike(label)
         before = [day for day, look in looks.items() if day >= since and look.status == OK]
         look = _look_at_night(spec, logs, label)
         looks[label] = look if len(labels) == 1 else replace(look, samples=None)

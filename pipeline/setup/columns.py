@@ -213,7 +213,7 @@ def changed_readings(
 
     The first night is that since the last event; None where the newest is as the first.
     """
-    since = max((event.date for event in spec.file.baseline_events), default=dt.date.min)
+    since, _ = spec.file.alike(dt.date.max)
     labels = [label for label in labels if label >= since]
 
     def means(label: dt.date) -> dict[str, float]:

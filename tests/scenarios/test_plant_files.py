@@ -669,10 +669,15 @@ def test_a_unit_that_changes_within_a_file_is_a_fault_with_its_night(plant: Plan
 
 @covers("ack --night --note", "ack --night --fit --note", "fit-fleet", "check --full --json")
 def test_a_night_in_another_unit_is_accepted_or_released(plant: Plant) -> None:
-    """The drain flow of the fourth night of five is in l/h where the others are in l/min."""
+    """The drain flow of the fourth night of five is in l/h where the others are in l/min.
+
+    The oil was changed that day, which changes no unit.
+    """
     nights = {night: wide(night) for night in (1, 2, 3, 5)}
     nights[4] = wide(4, edit=factor("leakage_flow", 60.0))
     assert plant.init({f"w_2026-01-0{n}.csv": nights[n] for n in sorted(nights)}).code == 0
+    with (plant.folder / "fleet" / "motors" / "w.toml").open("a") as file:
+        file.write('[[events]]\ndate = 2026-01-04\nkind = "oil_change"\noil = "vg68"\n')
     failed = [*["ok"] * 3, "failed", "ok"]
 
     def checked() -> tuple[list[str], list[str]]:
