@@ -249,9 +249,11 @@ def begin(
     nights: Sequence[NightBlocks],
     settings: WatchSettings,
     prior: WanderPrior | None = None,
+    *,
+    has_further: bool | None = None,
 ) -> WatchState:
-    """Return the state after the nights of a baseline."""
-    baseline = baseline_of(machine, nights)
+    """Return the state after the nights of a baseline, of the form that is given, if any."""
+    baseline = baseline_of(machine, nights, has_further=has_further)
     of_nights = [baseline.information(night) for night in nights]
     window = Window(
         np.array([night.day for night in nights]),
@@ -450,7 +452,13 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
     all_paths, p = state.baseline.all_paths, state.baseline.n_paths
     spread = float(all_paths[:p] @ state.wander.spread @ all_paths[:p])
     size = math.sqrt(spread) / float(all_paths @ all_paths)
-    period = begin(state.machine, nights, state.settings, WanderPrior(size, state.wander.memory))
+    period = begin(
+        state.machine,
+        nights,
+        state.settings,
+        WanderPrior(size, state.wander.memory),
+        has_further=len(state.baseline.columns.further) > 0,
+    )
     columns, old = period.baseline.columns, state.baseline.columns
     changed = np.zeros(columns.n)
     changed[:p] = (columns.theta - old.theta) / columns.unit

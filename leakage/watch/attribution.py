@@ -154,8 +154,8 @@ def name_of(
     causes = evidence.causes
     at = np.searchsorted(evidence.window.days, [start])
     change, score = _between(evidence, baseline, at, flow)
-    # Under a wrong model several can do what a single cause does.
-    with_several = baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
+    # Under a wrong model several can do what one does.
+    with_several = baseline.model_error <= choices.LACK_TO_IDENTIFY
     log_ratio = _log_ratios(evidence, causes, at, change, score, with_several=with_several)
     weights = np.exp(log_ratio - log_ratio.max())
     weights /= weights.sum()
@@ -215,7 +215,7 @@ def _between(
     since = evidence.since(at)
     after, score = since.information[0], since.score[0]
     before, score_before = (part[0] for part in evidence.sums.before(at, window))
-    error = choices.SHAPE_BY_LACK * baseline.lack_of_fit * abs(flow)
+    error = choices.SHAPE_BY_LACK * baseline.model_error * abs(flow)
     variance = np.full(len(score), error**2)
     beyond = float(evidence.operating_beyond(at)[0])
     variance[:p] = (error / baseline.share) ** 2 + (beyond * baseline.operating_error) ** 2
@@ -267,7 +267,7 @@ def _together(
     """Return probabilities of the names that can be identified: some stand for several causes."""
     groups: dict[str, frozenset[str]] = {}
     free = sum(name in machine.gaps for name in machine.paths)
-    if baseline.lack_of_fit > choices.LACK_TO_IDENTIFY or free < 2:
+    if baseline.model_error > choices.LACK_TO_IDENTIFY or free < 2:
         groups |= dict.fromkeys(COMMON, frozenset(COMMON))
     if not baseline.identifies_gaps:
         # What is taken as known is distinguished from gaps by pressures, too.

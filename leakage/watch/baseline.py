@@ -21,6 +21,7 @@ from leakage.watch.nights import FLUSHING, TWO_SIDED_95, Machine, NightBlocks
 from leakage.watch.within_night import (
     START,
     BlockErrors,
+    contradicted,
     estimate_errors,
     night_information,
 )
@@ -35,7 +36,8 @@ class Columns:
 
     `sign` turns drives that count backwards, shape (p,); `theta` are the coefficients, shape (p,);
     `unit` what a change of 1 of each path is; `least_scale` [l/min]. An estimated flushing is one
-    with the meter's zero.
+    with the meter's zero. `further` are usual pressure [bar] and speed [rpm] of flows that do not
+    follow the oil's viscosity and stand behind the model's paths, shape (2,); empty without them.
     """
 
     sign: Array
@@ -46,10 +48,21 @@ class Columns:
     pressure_knots: Array
     speed_knots: Array
     has_zero: bool
+    further: Array
 
     @property
     def n_paths(self) -> int:
         return len(self.theta)
+
+    @property
+    def n_driven(self) -> int:
+        """Number of the model's own paths."""
+        n_further = 2 + self.has_zero if len(self.further) else 0
+        return self.n_paths - n_further
+
+    def all_drives(self, drives: Array, conditions: Array) -> Array:
+        """Return drives of some blocks with those of further flows, shape (b, p)."""
+        return all_drives(drives, conditions, self.further, has_constant=self.has_zero)
 
     @property
     def n_surface(self) -> int:
@@ -95,26 +108,44 @@ class Columns:
 
     def of_night(self, night: NightBlocks) -> tuple[Array, Array]:
         """Return design, shape (b, q), and residuals, shape (b,), of a night's blocks."""
-        expected = self.expected(night.drives)
+        drives = self.all_drives(night.drives, night.conditions)
+        expected = self.expected(drives)
         scale = self.scale(expected)
-        design = self.design(night.drives, night.conditions, scale)
+        design = self.design(drives, night.conditions, scale)
         return design, (night.flow - expected) / scale
 
     def operating_point(self, night: NightBlocks) -> Array:
-        """Return each path's share in a night's flow, mean pressure and speed, shape (p + 2,)."""
-        flows = night.drives * self.sign * self.theta
+        """Return each model path's share in their flow, mean pressure and speed, shape (p + 2,).
+
+        Further flows do not follow the temperature, which would pass for other conditions.
+        """
+        own = slice(self.n_driven)
+        flows = night.drives * self.sign[own] * self.theta[own]
         shares = (flows / self.scale(flows.sum(axis=1))[:, None]).mean(axis=0)
         return np.concatenate([shares, night.conditions[:, 1:].mean(axis=0)])
 
     def prior(self) -> Array:
         """Return information that the unknowns have before any night, shape (q, q)."""
         sd = np.full(self.n, choices.SURFACE_PRIOR)
-        sd[: self.n_paths] = choices.PATH_PRIOR
+        sd[: self.n_driven] = choices.PATH_PRIOR
+        sd[self.n_driven : self.n_paths] = choices.FURTHER_PRIOR
         sd[self.n_paths : self.n_paths + N_TEMPERATURE] = choices.TEMPERATURE_PRIOR
         sd[self.n_paths + N_TEMPERATURE : self.surface_from] = choices.PATH_TEMPERATURE_PRIOR
         if self.has_zero:
             sd[-1] = choices.ZERO_PRIOR
         return np.diag(sd**-2)
+
+
+def all_drives(drives: Array, conditions: Array, further: Array, *, has_constant: bool) -> Array:
+    """Return drives with those of further flows, if a usual pressure and speed is given for them.
+
+    Of an orifice, which is turbulent; of what the speed drags along; of a constant, where no
+    flushing is estimated.
+    """
+    if not len(further):
+        return drives
+    bar, rpm = (np.abs(conditions[:, 1:]) / further).T
+    return np.column_stack([drives, np.sqrt(bar), rpm, np.ones((len(bar), int(has_constant)))])
 
 
 def hat_functions(values: Array, knots: Array) -> Array:
@@ -147,6 +178,8 @@ def knots_at(values: Array, quantiles: Sequence[float], apart: float) -> Array:
 PASSES = (0.1, 0.1, 0.01)
 # Share of the flow that a unit of a path has at least, where it is divided by.
 LEAST_SHARE = 0.01
+# Usual pressure [bar] and speed [rpm] that further flows are held against, at least.
+LEAST_USUAL = (1.0, 0.01)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +195,10 @@ class Baseline:
     # What a unit of each unknown is of the flow at the motor's own conditions, shape (q,).
     own_row: Array
     path_sd: Array  # Standard errors of the paths, in their units, shape (p,).
-    # Root mean square of what temperature and surface explain, which the model does not.
+    # Root mean square of what temperature and surface explain, which the flows do not; model_error:
+    # which the model's own paths do not, without further flows.
     lack_of_fit: float
+    model_error: float
     # identifies_gaps, identifies_speed: Whether pressures, and speeds, vary by enough to
     # distinguish paths by them, and the model misses little of how the flow goes with pressure.
     identifies_gaps: bool
@@ -193,7 +228,7 @@ class Baseline:
         if self.flushing is None:
             return 0.0
         of_flow = float(self.own_row[self.flushing] * self.path_sd[self.flushing])
-        is_missed = min(self.lack_of_fit / choices.WRONG_SHAPE, 1.0)
+        is_missed = min(self.model_error / choices.WRONG_SHAPE, 1.0)
         return math.hypot(
             math.hypot(of_flow, self.lack_of_fit) / self.leakage_share,
             choices.LEAKAGE_BY_SHAPE * is_missed,
@@ -250,7 +285,9 @@ class Baseline:
         if self.identifies_gaps and self.identifies_speed:
             by_lack = choices.OPERATING_BY_LACK * self.lack_of_fit
             error = min(error, max(by_lack, choices.OPERATING_LEAST_ERROR))
-        return error / self.share
+        errors: Array = error / self.share
+        errors[self.columns.n_driven :] = 0.0
+        return errors
 
     def information(self, night: NightBlocks) -> tuple[Array, Array]:
         """Return information about z − z₀, shape (q, q), and score, shape (q,), of a night."""
@@ -266,15 +303,40 @@ class Baseline:
         return float(apart.max())
 
 
-def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
-    """Return the baseline of some nights.
+def baseline_of(
+    machine: Machine, nights: Sequence[NightBlocks], *, has_further: bool | None = None
+) -> Baseline:
+    """Return the baseline of some nights, with further flows where the model alone misses much.
+
+    Verdict and names are those of the model alone, whose parts are looked at (model.md, 7c.10).
+    `has_further` says whether there are any, in place of the nights.
+    """
+    plain = _baseline_of(machine, nights, further=np.empty(0))
+    if has_further is None:
+        has_further = plain.lack_of_fit > choices.LACK_TO_ADD
+    if not has_further:
+        return plain
+    usual = np.concatenate([night.conditions[:, 1:] for night in nights]).mean(axis=0)
+    wider = _baseline_of(machine, nights, further=np.maximum(np.abs(usual), LEAST_USUAL))
+    return replace(
+        wider,
+        model_error=plain.lack_of_fit,
+        identifies_gaps=plain.identifies_gaps,
+        identifies_speed=plain.identifies_speed,
+    )
+
+
+def _baseline_of(machine: Machine, nights: Sequence[NightBlocks], *, further: Array) -> Baseline:
+    """Return the baseline with further flows, or without any; they are as in `Columns`.
 
     θ₀ ≥ 0, effect of temperature and surface are fitted together, by generalised least squares;
     clipping θ₀ afterwards would put the expected flow off.
     """
-    drives = np.concatenate([night.drives for night in nights])
     flow = np.concatenate([night.flow for night in nights])
     conditions = np.concatenate([night.conditions for night in nights])
+    has_zero = FLUSHING not in machine.paths
+    drives = np.concatenate([night.drives for night in nights])
+    drives = all_drives(drives, conditions, further, has_constant=has_zero)
     sign = np.where(drives.mean(axis=0) < 0.0, -1.0, 1.0)
     mean_flow = max(float(flow.mean()), 1e-9)
     drives = drives * sign
@@ -289,19 +351,22 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         float(conditions[:, 0].mean()),
         knots_at(pressures, choices.PRESSURE_KNOTS, choices.PRESSURE_APART),
         knots_at(speeds, choices.SPEED_KNOTS, choices.SPEED_APART),
-        FLUSHING not in machine.paths,
+        has_zero,
+        further,
     )
     errors = BlockErrors.of(START)
     unknowns = np.zeros(columns.n)
-    for tolerance in PASSES:
-        theta, unknowns, errors, path_sd = _fit(columns, nights, errors, tolerance)
+    for number, tolerance in enumerate(PASSES):
+        # Before the first pass it is not known which blocks the others contradict.
+        known = unknowns if number else None
+        theta, unknowns, errors, path_sd = _fit(columns, nights, errors, known, tolerance)
         if not np.any(theta > 0.0):
             theta = _first_guess(drives, np.full(len(flow), mean_flow))
         columns = replace(columns, theta=theta, unit=np.maximum(theta, least_unit))
-    p = columns.n_paths
-    least_spread = np.full(p + 2, choices.OPERATING_LEAST_SHARE)
-    least_spread[p:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
+    least_spread = np.full(columns.n_driven + 2, choices.OPERATING_LEAST_SHARE)
+    least_spread[-2:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
     lack_of_shape = _missed(columns, unknowns, nights, columns.surface_from)
+    lack_of_fit = _missed(columns, unknowns, nights, columns.n_paths)
     operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
         columns,
@@ -311,7 +376,8 @@ def baseline_of(machine: Machine, nights: Sequence[NightBlocks]) -> Baseline:
         operating_points.std(axis=0, ddof=1) + least_spread,
         _own_row(columns, nights),
         path_sd,
-        _missed(columns, unknowns, nights, p),
+        lack_of_fit,
+        lack_of_fit,
         lack_of_shape <= choices.LACK_TO_NAME and varies(pressures),
         varies(speeds),
         machine.paths.index(FLUSHING) if FLUSHING in machine.paths else None,
@@ -345,15 +411,27 @@ def _first_guess(drives: Array, flow: Array) -> Array:
 
 
 def _fit(
-    columns: Columns, nights: Sequence[NightBlocks], errors: BlockErrors, tolerance: float
+    columns: Columns,
+    nights: Sequence[NightBlocks],
+    errors: BlockErrors,
+    known: Array | None,
+    tolerance: float,
 ) -> tuple[Array, Array, BlockErrors, Array]:
-    """Return θ ≥ 0, the other unknowns, the errors of the rest, the paths' standard errors."""
+    """Return θ ≥ 0, the other unknowns, the errors of the rest, the paths' standard errors.
+
+    Blocks that contradict the others of their night by the unknowns so far count less, as they do
+    in every later night: air in the drain line would stand in the baseline alone.
+    """
     from scipy.optimize import lsq_linear
 
     p, designs = columns.n_paths, [columns.of_night(night) for night in nights]
     information, score = columns.prior(), np.zeros(columns.n)
     for night, (design, residuals) in zip(nights, designs, strict=True):
-        covariance = errors.covariance(night.middle_s, with_night=True)
+        wider = None
+        if known is not None:
+            left = residuals - design @ known
+            wider = contradicted(design[:, :p], left, night.middle_s, errors)
+        covariance = errors.covariance(night.middle_s, wider, with_night=True)
         weighted = np.linalg.solve(covariance, np.column_stack([design, residuals]))
         information = information + design.T @ weighted[:, :-1]
         score = score + design.T @ weighted[:, -1]
@@ -379,10 +457,11 @@ def _fit(
 
 def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
     """Return the mean effect of each unknown over the baseline's blocks, over their mean flow."""
-    expected = [columns.expected(night.drives) for night in nights]
+    drives = [columns.all_drives(night.drives, night.conditions) for night in nights]
+    expected = [columns.expected(of_night) for of_night in drives]
     effects = [
-        columns.design(night.drives, night.conditions, columns.scale(flow)).T @ columns.scale(flow)
-        for night, flow in zip(nights, expected, strict=True)
+        columns.design(of_night, night.conditions, columns.scale(flow)).T @ columns.scale(flow)
+        for night, of_night, flow in zip(nights, drives, expected, strict=True)
     ]
     total: Array = np.sum(effects, axis=0) / max(float(np.concatenate(expected).sum()), 1e-12)
     return total

@@ -51,12 +51,13 @@ def causes_of(machine: Machine, baseline: Baseline) -> tuple[Cause, ...]:
     """Return all causes of a motor, both signs."""
     unknown = np.eye(baseline.columns.n)
     # Under a wrong model a gap can do what a zero does.
-    has_zero = baseline.columns.has_zero and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY
+    by_oil = _by_oil(machine, baseline)
+    has_zero = baseline.columns.has_zero and baseline.model_error <= choices.LACK_TO_IDENTIFY
     return (
         *_of_paths(machine, baseline),
         *_of_gaps(machine, baseline),
         *_both(ALL_FLOWS, baseline.all_flows),
-        *(_both(ALL_FLOWS, _by_oil(machine, baseline)) if FLUSHING in machine.paths else ()),
+        *(_both(ALL_FLOWS, by_oil) if np.any(by_oil != baseline.all_flows) else ()),
         *_both(TEMPERATURE_EFFECT, unknown[baseline.n_paths]),
         *(_both(ZERO, unknown[-1]) if has_zero else ()),
         *(() if machine.oil is None else _of_oil(machine, machine.oil, baseline)),
@@ -90,16 +91,18 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
     every = sum(gaps.values(), np.zeros(baseline.columns.n))
     if len(gaps) > 1 and not np.allclose(every, baseline.all_paths):
         yield from _both(ALL_GAPS, every)
-    # Under a wrong model two gaps can do what a single gap does.
-    if len(gaps) > 2 and baseline.lack_of_fit <= choices.LACK_TO_IDENTIFY:
+    # Under a wrong model two gaps can do what one does.
+    if len(gaps) > 2 and baseline.model_error <= choices.LACK_TO_IDENTIFY:
         for (gap, first), (other, second) in combinations(gaps.items(), 2):
             yield Cause(gap + AND + other, first + second)
 
 
 def _by_oil(machine: Machine, baseline: Baseline) -> Array:
-    """Return all flows that follow the oil's viscosity: a flushing does not."""
+    """Return all flows that follow the oil's viscosity: a flushing and further flows do not."""
     direction = baseline.all_flows
-    direction[: baseline.n_paths] *= [name != FLUSHING for name in machine.paths]
+    direction[baseline.columns.n_driven : baseline.n_paths] = 0.0
+    if FLUSHING in machine.paths:
+        direction[machine.paths.index(FLUSHING)] = 0.0
     return direction
 
 

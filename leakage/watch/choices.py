@@ -16,6 +16,9 @@ LEAST_UNIT = 0.1
 # bent; each knot of the discrepancy surface; the meter's zero. They only have to be wide beside
 # what motors do.
 PATH_PRIOR, TEMPERATURE_PRIOR, SURFACE_PRIOR, ZERO_PRIOR = 1.0, (0.2, 0.05), 0.03, 0.02
+# Lack of fit beyond which flows that follow no viscosity stand beside the model's: up to it they
+# bring nothing, and cost names. Prior of a change of each.
+LACK_TO_ADD, FURTHER_PRIOR = 0.05, 0.3
 # The same of the effect of temperature on each path alone, in 10 K: without it, a season of +12 K
 # was reported as wear on machines whose parts do not follow the oil alike.
 PATH_TEMPERATURE_PRIOR = 0.05

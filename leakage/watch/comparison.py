@@ -78,7 +78,7 @@ def compare(
         name.cause,
         name.probability,
         name.candidates,
-        state.baseline.lack_of_fit,
+        state.baseline.model_error,
         bool(evidence.operating_beyond(starts) > 0.0),
     )
 

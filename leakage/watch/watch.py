@@ -123,7 +123,7 @@ class Watch:
             # Nothing is detected where the interval holds 0: then the evidence does not reach it.
             state.evidence if change is not None else min(state.evidence, limit),
             limit,
-            state.baseline.lack_of_fit,
+            state.baseline.model_error,
             change,
             on_first_baseline(state, slice(-1, None)),
             mean_change(state),
@@ -181,8 +181,9 @@ class Watch:
     def _row_at(self, drives: Array, conditions: Array) -> tuple[Array, float]:
         """Return what a unit of each unknown is of the flow at conditions, and that flow by θ."""
         columns = self.state.baseline.columns
-        expected = columns.expected(drives[None])
-        row: Array = columns.design(drives[None], conditions[None], np.maximum(expected, 1e-12))[0]
+        every = columns.all_drives(drives[None], conditions[None])
+        expected = columns.expected(every)
+        row: Array = columns.design(every, conditions[None], np.maximum(expected, 1e-12))[0]
         if columns.has_zero:
             row[-1] = 0.0
         return row, float(expected[0])

@@ -221,7 +221,8 @@ class Course:
         if in_force is not None and in_force.change.cause in NO_LEAKAGE:
             change = in_force.before
         flow = baseline.own_leakage * float(theta @ now) / max(float(theta @ then), 1e-12)
-        grown, missed = 1.0 + change.value, LEAKAGE_BY_LACK * verdict.lack_of_fit
+        grown = 1.0 + change.value
+        missed = LEAKAGE_BY_LACK * self.watch.state.baseline.lack_of_fit
         split = self.watch.state.baseline.split_error
         return Estimate(flow * grown, flow * math.hypot(change.sd, grown * missed, grown * split))
 

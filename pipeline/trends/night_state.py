@@ -70,7 +70,8 @@ class Baseline:
         charge = float(np.median(known)) if len(known) else None
         first, last = (dt.date.fromordinal(night.day) for night in (nights[0], nights[-1]))
         own = Conditions(pressure, temperature, speed, charge)
-        theta = watch.state.baseline.columns.theta
+        columns = watch.state.baseline.columns
+        theta = columns.theta[: columns.n_driven]
         return cls(first, last, len(nights), own, tuple(theta.tolist()))
 
 

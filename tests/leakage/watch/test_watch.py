@@ -514,6 +514,7 @@ def test_evidence_agrees_with_an_independent_implementation(
     """Ring and sleeve beside a constant and the known roller: the balance piston is missed."""
     monkeypatch.setattr(wander, "PHI", np.full(len(wander.PHI), 1e-6))
     monkeypatch.setattr(choices, "LINE_PRIOR", 1e-9)
+    monkeypatch.setattr(choices, "LACK_TO_ADD", np.inf)
     monkeypatch.setattr(choices, "PATH_TEMPERATURE_PRIOR", 1e-6)
     paths = ("ring", "sleeve", "flushing", "known")
     nights = [
