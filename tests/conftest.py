@@ -44,9 +44,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 class OwnFleet(Protocol):
-    """Copies motors of the demo into a folder of the test's own; returns its fleet file."""
+    """Copies motors of the demo, or their newest nights, into the test's own; its fleet file."""
 
-    def __call__(self, *motors: str, fitted: bool = False) -> Path: ...
+    def __call__(self, *motors: str, fitted: bool = False, nights: int = DEMO_NIGHTS) -> Path: ...
 
 
 @pytest.fixture(scope="session")
@@ -87,15 +87,16 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
 def own_fleet(demo_folder: Path, tmp_path: Path, request: pytest.FixtureRequest) -> OwnFleet:
     """Motors of the demo to be changed at will; output goes to ``out`` beside ``configs``."""
 
-    def copy(*motors: str, fitted: bool = False) -> Path:
+    def copy(*motors: str, fitted: bool = False, nights: int = DEMO_NIGHTS) -> Path:
         shutil.copytree(demo_folder / "configs", tmp_path / "configs")
         for file in (tmp_path / "configs" / "motors").iterdir():
             if file.stem not in motors:
                 file.unlink()
         for motor in motors:
-            shutil.copytree(
-                demo_folder / "demo" / "logs" / motor, tmp_path / "demo" / "logs" / motor
-            )
+            logs = tmp_path / "demo" / "logs" / motor
+            logs.mkdir(parents=True)
+            for log in sorted((demo_folder / "demo" / "logs" / motor).iterdir())[-nights:]:
+                shutil.copy2(log, logs)
         if fitted:
             shutil.copytree(request.getfixturevalue("fitted_output"), tmp_path / "out")
         return tmp_path / "configs" / "fleet.toml"

@@ -237,6 +237,7 @@ def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
     assert ("interrupted; " in said) is (code > 0)
     assert second.code == 3
     assert f"process {process.pid}" in second.err
+    plant.change("fleet.toml", f'"{backend}"', '"sequential"')
     assert plant.run(*words).code == 0
     key = ["motor_id", "night", "parameter"]
     made, expected = (

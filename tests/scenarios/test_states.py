@@ -102,7 +102,16 @@ def test_a_motor_without_logs_is_stale(plant: ScenarioFleet) -> None:
     plant.output.rename(plant.folder / "before")
     assert plant.run("fit-fleet", "--motors", "calm broken").code == 0
     newest = plant.newest("calm")
-    assert (newest["state"], newest["data_age_nights"]) == ("stale", 9)
+    assert (newest["state"], newest["status"], newest["data_age_nights"]) == (
+        "stale",
+        "no_new_data",
+        9,
+    )
+    # It has the figures of its newest night with samples.
+    last = plant.nights("calm")[10]
+    assert newest["last_fit_night"] == last["night"] == plant.label(11)
+    assert newest["own_leakage_l_per_min"] == last["own_leakage_l_per_min"] > 0.0
+    assert plant.newest("broken")["night"] == newest["night"] == plant.label(20)
 
 
 @covers("status --max-age --output --json")

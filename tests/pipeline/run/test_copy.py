@@ -50,7 +50,7 @@ def put_keys(server: Server) -> list[str]:
 def test_logs_and_copy_at_a_url_give_the_tables_of_folders(
     server: Server, own_fleet: OwnFleet, tmp_path: Path, call: Call
 ) -> None:
-    fleet = without_workers(own_fleet(CSV, PARQUET))
+    fleet = without_workers(own_fleet(CSV, PARQUET, nights=1))
     assert call("fit-fleet", fleet, "--output", tmp_path / "folder")[0] == 0
     upload(tmp_path / "demo" / "logs", LOGS)
     shutil.rmtree(tmp_path / "demo" / "logs")

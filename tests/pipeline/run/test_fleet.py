@@ -89,10 +89,10 @@ def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table
 def test_a_run_with_too_little_room_touches_nothing(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch, minimum_mib: int, is_refused: bool
 ) -> None:
-    fleet = own_fleet(PARQUET)
+    fleet = own_fleet(PARQUET, nights=1)
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
     if not is_refused:
-        assert run(fleet, minimum_free_mib=minimum_mib).n_nights == 3
+        assert run(fleet, minimum_free_mib=minimum_mib).n_nights == 1
         return
     with pytest.raises(StoreError, match=r"minimum_free_mib is 100") as caught:
         run(fleet, minimum_free_mib=minimum_mib)
@@ -102,7 +102,7 @@ def test_a_run_with_too_little_room_touches_nothing(
 
 @pytest.mark.parametrize("place", ["out", "out/tables", "out/staging", "out/lock", "out/state.db"])
 def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> None:
-    fleet = own_fleet(PARQUET)
+    fleet = own_fleet(PARQUET, nights=1)
     blocked = fleet.parent.parent / place
     blocked.parent.mkdir(exist_ok=True)
     if place in ("out/lock", "out/state.db"):
@@ -115,7 +115,7 @@ def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> No
     assert blocked.exists()
     # Once it is out of the way all is done.
     blocked.rmdir() if blocked.is_dir() else blocked.unlink()
-    assert run(fleet).n_nights == 3
+    assert run(fleet).n_nights == 1
 
 
 def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None:

@@ -25,8 +25,6 @@ from tests.pipeline.trends.nights import (
     motor,
     named,
     night_of,
-    part_of,
-    publish,
     published_trends,
     run,
     step,
@@ -94,20 +92,6 @@ def test_a_sudden_rise_comes_first_and_a_clear_one_is_not_shown(watched: Path) -
     assert sorted((quiet, worn, broken), key=urgency) == [broken, worn, quiet]
     assert "risen since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why
-
-
-def test_a_motor_without_logs_is_stale_when_another_goes_on(fleet: tuple[Path, Path]) -> None:
-    """It has the figures of its newest night with samples."""
-    config, output = fleet
-    publish(output, part_of(Nights(named(motor(), "M2"), N + 9).frames, N, N + 9))
-    before = states(output)["M1"].row
-    run(config)
-    row = states(output)["M1"].row
-    assert (row["night"], row["state"], row["status"]) == (LAST + 9 * DAY, "stale", "no_new_data")
-    assert row["data_age_nights"] == 9
-    for name in ("own_leakage_l_per_min", "last_fit_night"):
-        assert row[name] == before[name]
-    assert states(output)["M2"].state == "ok"
 
 
 @pytest.mark.parametrize(
