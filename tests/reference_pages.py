@@ -73,7 +73,7 @@ def config_reference() -> str:
     ]
     for file, model in FILES.items():
         fields = model.model_fields.items()
-        own = {name: one for name, one in fields if not any(_sections(one.annotation))}
+        own = {name: field for name, field in fields if not any(_sections(field.annotation))}
         lines += [f"## `{file}`", "\n".join(_key_lines(model, own))]
         for name, field in fields:
             for heading, words, table, keys in _tables(name, field):
@@ -89,8 +89,8 @@ def _sections(annotation: Any) -> Iterator[type[Section]]:
     """Kinds of TOML table that a key of a type can hold."""
     if inspect.isclass(annotation) and issubclass(annotation, Section):
         yield annotation
-    for one in get_args(annotation):
-        yield from _sections(one)
+    for part in get_args(annotation):
+        yield from _sections(part)
 
 
 def _tables(
@@ -101,7 +101,7 @@ def _tables(
     headings: dict[Any, str] = {tuple: f"[[{name}]]", dict: f"[{name}.<name>]"}
     heading = headings.get(get_origin(field.annotation), f"[{name}]")
     if len(tables) < 2:
-        yield from ((heading, _words(one), one, one.model_fields) for one in tables)
+        yield from ((heading, _words(table), table, table.model_fields) for table in tables)
         return
     words = (
         "Keys of all; `law` says which a path has besides. A key with four defaults is a table of "
@@ -110,7 +110,7 @@ def _tables(
     yield heading, words, PathSection, PathSection.model_fields
     for table in tables:
         known = {*PathSection.model_fields, "law"}
-        own = {key: one for key, one in table.model_fields.items() if key not in known}
+        own = {key: field for key, field in table.model_fields.items() if key not in known}
         (law,) = get_args(table.model_fields["law"].annotation)
         yield f'{heading} with law = "{law}"', _words(table), table, own
 
@@ -152,7 +152,7 @@ def _default(field: FieldInfo, table: type[Section]) -> str:
     """The default as in TOML; of a parameter, value, bounds and whether it is fixed."""
     value = field.get_default()
     if issubclass(table, Unknown):
-        values = [one.get_default() for one in table.model_fields.values()]
+        values = [field.get_default() for field in table.model_fields.values()]
         return "" if field.is_required() else json.dumps(values)[1:-1]
     nothing = field.is_required() or value is None or value in ("", {}, ())
     return "" if nothing else json.dumps(value, ensure_ascii=False)
@@ -160,7 +160,7 @@ def _default(field: FieldInfo, table: type[Section]) -> str:
 
 def _kind(annotation: Any) -> str:
     """A type in words."""
-    kind, parts = get_origin(annotation), [one for one in get_args(annotation) if one]
+    kind, parts = get_origin(annotation), [part for part in get_args(annotation) if part]
     if kind is tuple and Ellipsis in parts:
         return f"list of {_kind(parts[0])}"
     if kind is tuple:
@@ -188,7 +188,7 @@ def _channel_lines() -> str:
     lines = ["Units in a log, and the usual valid range of a channel:\n"]
     for quantity, units in UNITS.items():
         ranges = []
-        for name in (one for one in CHANNELS if QUANTITIES[one] == quantity):
+        for name in (channel for channel in CHANNELS if QUANTITIES[channel] == quantity):
             low, high = FALLBACK_VALID_RANGE[name]
             ranges.append(f"`{name}` {low:g} to {high:g} {canonical_unit(name)}")
         lines.append(f"- {' '.join(f'`{unit}`' for unit in units)}: {', '.join(ranges)}")
@@ -203,7 +203,7 @@ def _overrides() -> str:
 def table_reference() -> str:
     """The page `tables.md`: every column of every table, from `pipeline.schema`."""
     every = [column for table in TABLES for column in table.columns]
-    common = [one for one, n in Counter(every).items() if n >= MANY]
+    common = [text for text, n in Counter(every).items() if n >= MANY]
     lines = [
         "# Tables",
         NOTE,
@@ -228,11 +228,11 @@ def table_reference() -> str:
         if table is LATEST:
             lines.append("The columns of `nights`, and:")
         own = [column for column in table.columns if column not in common]
-        own = [one for one in own if table is not LATEST or one not in NIGHTS.columns]
-        for group, columns in groupby(own, lambda one: one.group):
+        own = [column for column in own if table is not LATEST or column not in NIGHTS.columns]
+        for group, columns in groupby(own, lambda column: column.group):
             lines += [f"*{group}*"] * bool(group) + [_column_lines(list(columns))]
         if table is QUALITY:
-            reasons = (f"- `{name}`: {one.meaning}." for name, one in QUALITY_REASONS.items())
+            reasons = (f"- `{name}`: {reason.meaning}." for name, reason in QUALITY_REASONS.items())
             lines += ["What each reason refuses:", "\n".join(reasons)]
     return "\n\n".join(filter(None, lines)) + "\n"
 

@@ -209,7 +209,7 @@ def test_codes_of_the_operations_page_are_the_program_s() -> None:
 
 
 def test_every_dependency_has_its_line() -> None:
-    names = {re.split(r"[^\w-]", one)[0] for one in stated()}
+    names = {re.split(r"[^\w-]", text)[0] for text in stated()}
     page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     part = page.partition("## Dependencies")[2].partition("\n## ")[0]
     assert sorted(cell for cell in first_cells(part) if cell.islower()) == sorted(names)
@@ -236,7 +236,7 @@ def headings(page: Path) -> set[str]:
 # The change log says which keys are gone.
 @pytest.mark.parametrize(
     "path",
-    [one for one in HAND_WRITTEN if one.name != "CHANGELOG.md"],
+    [page for page in HAND_WRITTEN if page.name != "CHANGELOG.md"],
     ids=lambda path: path.name,
 )
 def test_config_keys_that_are_named_exist(path: Path) -> None:
@@ -284,6 +284,6 @@ def test_the_image_has_what_the_page_on_clusters_starts() -> None:
     for command, name in started:
         (program,) = entry_points(group="console_scripts", name=command)
         (part,) = entry_points(group=f"{command}_cli", name=name)
-        for one in (program, part):
-            assert one.dist is not None
-            assert f"\n{one.dist.name}==" in pins
+        for entry in (program, part):
+            assert entry.dist is not None
+            assert f"\n{entry.dist.name}==" in pins

@@ -93,15 +93,15 @@ def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
     curve = dashboard["panels"][0]
     assert curve["title"] == "Leakage of $motor against its baseline"
     ends = [f"leakage_change_{end}" for end in ("percent", "lower", "upper")]
-    assert [one["expr"] for one in curve["targets"]] == [
+    assert [target["expr"] for target in curve["targets"]] == [
         f'motor_leakage_{name}{{motor="$motor"}}'
         for name in (*ends, "alarm_level_percent", "detection_limit_percent")
     ]
     bands = {
-        one["matcher"]["options"]: one["properties"] for one in curve["fieldConfig"]["overrides"]
+        band["matcher"]["options"]: band["properties"] for band in curve["fieldConfig"]["overrides"]
     }
     assert {"id": "custom.fillBelowTo", "value": "lower"} in bands["upper"]
-    assert {one["legendFormat"] for one in curve["targets"]} > bands.keys()
+    assert {target["legendFormat"] for target in curve["targets"]} > bands.keys()
 
 
 def test_nights_of_a_database_are_fitted_as_logs_are(tmp_path: Path) -> None:

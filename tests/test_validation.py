@@ -55,7 +55,7 @@ class TestRecords:
     def test_windows_have_their_length_and_begin_at_each_step(self) -> None:
         minute = dt.timedelta(minutes=1)
         cut = windows(rows(10), 4 * minute, 3 * minute)
-        assert [(one[TIME][0] - BEGIN, one.height) for one in cut] == [
+        assert [(window[TIME][0] - BEGIN, window.height) for window in cut] == [
             (0 * minute, 240),
             (3 * minute, 240),
         ]

@@ -111,7 +111,7 @@ class Handler(BaseHTTPRequestHandler):
             objects[key] = Stored(body, next(self.served.clock))
             self._answer(200, ETag=objects[key].tag)
         elif self.command == "POST":
-            self._remove([one.text or "" for one in ET.fromstring(body).iter(S3 + "Key")])  # noqa: S314
+            self._remove([key.text or "" for key in ET.fromstring(body).iter(S3 + "Key")])  # noqa: S314
         elif not key:
             self._list(query.get("prefix", [""])[0])
         elif (found := objects.get(key)) is None:
@@ -145,12 +145,12 @@ class Handler(BaseHTTPRequestHandler):
     def _list(self, prefix: str) -> None:
         root = ET.Element("ListBucketResult")
         ET.SubElement(root, "IsTruncated").text = "false"
-        for key, one in sorted(self.served.objects.items()):
+        for key, stored in sorted(self.served.objects.items()):
             if not key.startswith(prefix):
                 continue
             found = ET.SubElement(root, "Contents")
-            said = {"Key": key, "Size": str(len(one.content)), "ETag": one.tag}
-            said["LastModified"] = f"{dt.datetime.fromtimestamp(one.put_on, dt.UTC):%FT%TZ}"
+            said = {"Key": key, "Size": str(len(stored.content)), "ETag": stored.tag}
+            said["LastModified"] = f"{dt.datetime.fromtimestamp(stored.put_on, dt.UTC):%FT%TZ}"
             for name, text in said.items():
                 ET.SubElement(found, name).text = text
         self._answer(200, ET.tostring(root))

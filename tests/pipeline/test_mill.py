@@ -137,7 +137,7 @@ def test_a_mills_first_day_in_four_commands(
 ) -> None:
     write_mill(tmp_path / "logs", shift_h=4)
     monkeypatch.chdir(tmp_path)
-    answers = [one for key in ANSWERS for one in ("--answer", f"{key}={ANSWERS[key]}")]
+    answers = [part for key in ANSWERS for part in ("--answer", f"{key}={ANSWERS[key]}")]
     fleet = Path("fleet/fleet.toml")
 
     code, shown, _ = call("init", "logs", *answers, "--write")

@@ -117,10 +117,10 @@ class Workshop:
         return dict(self.rows("nights").select("night", "status").iter_rows())
 
 
-def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
+def check_same_figures(first: Workshop, second: Workshop, *exempt: str) -> None:
     for table in (NIGHTS, *NIGHT_TABLES):
         if table.name not in exempt:
-            assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)
+            assert_frame_equal(first.rows(table.name), second.rows(table.name), check_exact=True)
 
 
 def part(values: Mapping[str, Any], rows: slice) -> dict[str, Any]:

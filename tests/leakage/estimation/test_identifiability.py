@@ -284,8 +284,8 @@ def test_a_leakage_needs_two_degrees_of_freedom() -> None:
     estimate, found, seen = judged()
     for freedom, verdict in ((1.9, "too_little_data"), (2.1, "identified")):
         stated: Any = StatedBlocks(Interval(0.01, 0.005, freedom, 0.2))
-        one = judge_leakage(estimate, replace(found, distribution=stated), seen, REFERENCE)
-        assert one.verdict == verdict
+        judgement = judge_leakage(estimate, replace(found, distribution=stated), seen, REFERENCE)
+        assert judgement.verdict == verdict
 
 
 def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:

@@ -111,8 +111,8 @@ def test_a_misfit_is_the_same_in_any_unit_of_the_loss_factors() -> None:
     # Columns of norms of 1e13 to 1e15, and of less than 1.
     unit = np.array([1e18] * 3 + [1.0])
     plain, other = (
-        misfit(blocks / [*one, 1.0, 1.0], np.arange(len(blocks)), theta * one, FIXED, means)
-        for one in (np.ones(4), unit)
+        misfit(blocks / [*scale, 1.0, 1.0], np.arange(len(blocks)), theta * scale, FIXED, means)
+        for scale in (np.ones(4), unit)
     )
     assert other.share == pytest.approx(plain.share, rel=1e-6)
 
@@ -120,7 +120,7 @@ def test_a_misfit_is_the_same_in_any_unit_of_the_loss_factors() -> None:
 @pytest.mark.parametrize("minutes", [5, 15, 60])
 def test_slow_errors_alone_are_no_misfit(minutes: int) -> None:
     found = misfits(Truth(error_memory_s=60.0 * minutes, error=0.03), 30)
-    assert sum(one.is_clear and one.share > 0.015 for one in found) <= 1
+    assert sum(night.is_clear and night.share > 0.015 for night in found) <= 1
 
 
 @pytest.mark.parametrize(
@@ -135,8 +135,8 @@ def test_slow_errors_alone_are_no_misfit(minutes: int) -> None:
 )
 def test_a_wrong_model_leaves_much(truth: Truth) -> None:
     found = misfits(truth, 10)
-    assert np.median([one.share for one in found]) > 0.015
-    assert sum(one.is_clear for one in found) >= 8
+    assert np.median([night.share for night in found]) > 0.015
+    assert sum(night.is_clear for night in found) >= 8
 
 
 def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:
@@ -172,8 +172,8 @@ def test_few_blocks_or_one_steady_state_tell_nothing_false() -> None:
     for n, tells in ((17, False), (18, True)):
         judged = misfit(blocks[:n], np.arange(n), theta, FIXED, means[:n])
         assert (judged is not None) == tells
-    one = np.repeat(blocks[:1], 30, axis=0)
-    steady = misfit(one, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
+    alike = np.repeat(blocks[:1], 30, axis=0)
+    steady = misfit(alike, np.arange(30), theta, FIXED, np.repeat(means[:1], 30, 0))
     assert steady is None or steady.share < 0.015
 
 

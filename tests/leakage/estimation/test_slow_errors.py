@@ -261,8 +261,8 @@ def drifting_night(generator: np.random.Generator) -> SampleBlocks:
     """90 minutes in steps of load and speed, in which the flow drifts by 8 % against the model."""
     n = 45 * BLOCK
     bar, rpm = (
-        np.repeat(generator.uniform(*one, n // 45 + 1), 45)[:n]
-        for one in ((20.0, 300.0), (5.0, 45.0))
+        np.repeat(generator.uniform(*span, n // 45 + 1), 45)[:n]
+        for span in ((20.0, 300.0), (5.0, 45.0))
     )
     celsius = 50.0 + 5.0 * np.sin(np.arange(n) / 1000.0)
     columns = regressors(MODEL, OperatingConditions.from_bar(bar, celsius, rpm))
@@ -270,7 +270,7 @@ def drifting_night(generator: np.random.Generator) -> SampleBlocks:
     flow = columns @ [*theta, 0.0, 1.0] * np.linspace(0.96, 1.04, n)
     flow += 0.02 * generator.standard_normal(n)
     made = factors(np.column_stack([columns, flow]), np.arange(0, n + 1, BLOCK))
-    spans = [(float(one.min()), float(one.max())) for one in (bar, celsius, rpm)]
+    spans = [(float(channel.min()), float(channel.max())) for channel in (bar, celsius, rpm)]
     means = np.column_stack([celsius, bar, rpm]).reshape(-1, BLOCK, 3).mean(axis=1)
     number = np.arange(len(made))
     trains = number < 0.8 * len(made)

@@ -191,8 +191,8 @@ def test_wrong_arguments(keys: Any, words: str) -> None:
 
 def test_plots_show_what_they_say(found: FrameFit) -> None:
     flow = found.plot()
-    assert [one.name for one in flow.data] == ["measured", "predicted"]
-    assert [len(one.x) for one in flow.data] == [3600, 3600]
+    assert [line.name for line in flow.data] == ["measured", "predicted"]
+    assert [len(line.x) for line in flow.data] == [3600, 3600]
     training, validation = flow.layout.shapes
     assert (training.name, validation.name) == ("training", "validation")
     assert flow.data[0].x[0] == training.x0 < training.x1 < validation.x0

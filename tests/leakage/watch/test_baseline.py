@@ -267,7 +267,7 @@ BASELINE = baseline_of(CB560, Plant().nights(15, 1))
 
 
 def named(name: str, machine: Machine = CB560, baseline: Baseline = BASELINE) -> list[Cause]:
-    return [one for one in causes_of(machine, baseline) if one.name == name]
+    return [cause for cause in causes_of(machine, baseline) if cause.name == name]
 
 
 def assert_follows(cause: Cause, factor: Array) -> None:
@@ -300,7 +300,7 @@ def test_all_gaps_leave_what_is_known_and_all_flows_take_the_surface_too() -> No
 def test_another_grade_is_by_the_standard() -> None:
     """Flow goes with 1/ν: another level, and another slope over temperature."""
     middle_c = BASELINE.columns.temperature_c
-    thin = {one.grade: one for one in named("oil_grade")}
+    thin = {cause.grade: cause for cause in named("oil_grade")}
     assert set(thin) == {32, 46, 100}
     at_c = np.array([middle_c, middle_c + 5.0, middle_c - 5.0])
     ratio = kinematic_viscosity(VG_68, at_c) / kinematic_viscosity(VG_46, at_c) - 1.0

@@ -82,8 +82,8 @@ class Dense:
         weighted = [design.T @ np.linalg.inv(self.within) for design in self.designs]
         window = Window(
             DAYS,
-            np.array([one @ design for one, design in zip(weighted, self.designs, strict=True)]),
-            np.array([one @ rest for one, rest in zip(weighted, self.residuals, strict=True)]),
+            np.array([part @ design for part, design in zip(weighted, self.designs, strict=True)]),
+            np.array([part @ rest for part, rest in zip(weighted, self.residuals, strict=True)]),
             DISTANCE,
             np.zeros(len(DAYS)),
             PRIOR,

@@ -83,7 +83,7 @@ def stated() -> list[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     extras = project["project"]["optional-dependencies"].values()
     groups = [*extras, project["project"]["dependencies"], *project["dependency-groups"].values()]
-    return sorted({one for group in groups for one in group if isinstance(one, str)})
+    return sorted({needed for group in groups for needed in group if isinstance(needed, str)})
 
 
 def test_what_only_tests_and_docs_use_is_not_installed_to_run() -> None:
@@ -91,7 +91,7 @@ def test_what_only_tests_and_docs_use_is_not_installed_to_run() -> None:
     names = {line.partition("==")[0] for line in text.splitlines() if line[0].isalpha()}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     groups = [project["dependency-groups"][name] for name in ("dev", "full")]
-    others = {Requirement(one).name for group in groups for one in group if isinstance(one, str)}
+    others = {Requirement(name).name for group in groups for name in group if isinstance(name, str)}
     # Needed by packages that the program needs.
     assert others & names == {"packaging"}
 

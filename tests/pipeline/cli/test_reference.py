@@ -50,7 +50,7 @@ def test_every_key_of_every_model_is_on_the_page() -> None:
     page = PAGES["config.md"]()
     listed = {part for key in keys() for part in key.split(".")}
     listed |= set(re.findall(r"`\[+(\w+)", page)) | {"law", "value", "minimum", "maximum", "fixed"}
-    shipped = (one for one in _below(Section) if one.__module__.startswith("pipeline."))
+    shipped = (section for section in _below(Section) if section.__module__.startswith("pipeline."))
     stated = {key for model in (*FILES.values(), *shipped) for key in model.model_fields}
     assert stated - listed == set()
 

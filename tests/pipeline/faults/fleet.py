@@ -111,11 +111,11 @@ def _rows(path: Path, content: bytes, table: Table) -> pl.DataFrame:
     return _READ[key]
 
 
-def same(one: pl.DataFrame | None, two: pl.DataFrame | None) -> bool:
+def same(first: pl.DataFrame | None, second: pl.DataFrame | None) -> bool:
     """True if two files hold the same rows; a file without rows equals a missing one."""
-    if one is None or two is None:
-        return all(rows is None or not rows.height for rows in (one, two))
-    return one.equals(two, null_equal=True)
+    if first is None or second is None:
+        return all(rows is None or not rows.height for rows in (first, second))
+    return first.equals(second, null_equal=True)
 
 
 def check_old_or_new(output: Path, old: Path, new: Path) -> None:

@@ -50,7 +50,7 @@ SLICES = 4
 
 def run(folder: Path, output: Path) -> list[str]:
     """A run, one task at a time; the motors that failed."""
-    return [one.motor_id for one in TinyFleet(folder).run(output, workers=1).failed]
+    return [motor.motor_id for motor in TinyFleet(folder).run(output, workers=1).failed]
 
 
 def acknowledge(_: Path, output: Path) -> None:

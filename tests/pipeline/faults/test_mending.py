@@ -56,8 +56,8 @@ pytestmark = pytest.mark.usefixtures("_quick")
 
 @pytest.mark.parametrize(
     ("table", "damage", "code"),
-    [(one, Path.unlink, "table_missing") for one in (PREDICTIONS, LOG_FILES, TRENDS)]
-    + [(one, rot, "table_altered") for one in (BLOCKS, FITS)]
+    [(table, Path.unlink, "table_missing") for table in (PREDICTIONS, LOG_FILES, TRENDS)]
+    + [(table, rot, "table_altered") for table in (BLOCKS, FITS)]
     + [(FITS, lambda path: os.truncate(path, 100), "table_altered")]
     + [(TRENDS, rot_of_footer, "table_altered")],
 )
@@ -78,7 +78,7 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     assert f"{code}: {name_of(output, path)}: " in caplog.text
     of_run = pl.read_parquet(max((output / "tables" / "runs").rglob("*.parquet")))["damage"]
     assert of_run.list.first().to_list()[-1].startswith(f"{code}: {name_of(output, path)}: ")
-    assert [one.read_bytes() for one in output.rglob("*.damaged")] == left_over
+    assert [path.read_bytes() for path in output.rglob("*.damaged")] == left_over
     remove_aside(output)
     check_repaired(output, tiny_fleet.after)
 

@@ -72,7 +72,7 @@ def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
     with open_state(tmp_path) as state:
         assert forget_nights(state, {NEW_YEAR, third}) == {"A": {NEW_YEAR}, "B": {NEW_YEAR}}
     # The log of a night with a fit may be gone.
-    kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != third}
+    kept = {night: record for night, record in TWO_MONTHS.nights.items() if night != third}
     assert read(tmp_path, "A") == read(tmp_path, "B") == ProcessedLogs({}, kept, {})
 
 

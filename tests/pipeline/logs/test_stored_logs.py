@@ -130,11 +130,11 @@ def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_
     shop = with_nights(tmp_path, 5)
     (spec,) = in_bucket(shop).motors
     server.forget()
-    one = check_motor(spec)
+    checked = check_motor(spec)
     opened = {Path(path).stem for path in server.asked("GET") if path.endswith(".parquet")}
     assert opened == {str(FIRST + number * DAY) for number in (0, 3, 4)}
-    assert (one.n_files, one.first, one.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
-    ran, *_, note = one.notes
+    assert (checked.n_files, checked.first, checked.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
+    ran, *_, note = checked.notes
     assert ran.startswith(f"in the night {FIRST + 4 * DAY} the motor ran ")
     assert note.startswith("3 of 5 objects were opened")
     ended = CliRunner().invoke(app, ["check", str(shop.fleet)])

@@ -244,9 +244,9 @@ def slow_hampel(value: Floats, window: int, threshold: float, resolution: float)
     mirrored = np.pad(value, half, mode="reflect")
     flags = []
     for centre in range(len(value)):
-        around = [float(one) for one in mirrored[centre : centre + window]]
+        around = [float(value) for value in mirrored[centre : centre + window]]
         middle = statistics.median(around)
-        scaled_mad = statistics.median(abs(one - middle) for one in around) * 1.4826022185056018
+        scaled_mad = statistics.median(abs(value - middle) for value in around) * 1.4826022185056018
         # A distance in steps of the sensor is not exceeded by a hundredth of one.
         limit = max(threshold * scaled_mad, (threshold + 0.01) * resolution)
         flags.append(abs(value[centre] - middle) > limit)
@@ -366,7 +366,7 @@ def test_speed_of_a_halted_motor_is_not_frozen() -> None:
 def test_chunks_written_in_any_order_are_all_put_back(order: list[int], size: int) -> None:
     """Files whose names do not sort as their times do; a logger that flushed late."""
     time, value = stamps(12 * size), lively(12 * size)
-    rows = np.concatenate([np.arange(one * size, (one + 1) * size) for one in order])
+    rows = np.concatenate([np.arange(piece * size, (piece + 1) * size) for piece in order])
     found = as_read("pressure_difference", time[rows], value[rows])
     np.testing.assert_array_equal(found.time_us, time)
     np.testing.assert_array_equal(found.value, value)

@@ -135,7 +135,7 @@ def test_a_run_and_a_check_tell_a_gauge_in_mpa_from_one_night_on(tmp_path: Path)
     assert [shop.statuses()[label] for label in labels] == ["ok"] * 3 + ["failed"] * 2
     assert "of one of its two gauges?" in shop.rows("nights")["reason"][-1]
     (spec,) = load_fleet(shop.fleet).motors
-    (fault,) = [one for one in check_motor(spec).faults if one.startswith("columns_changed")]
+    (fault,) = [fault for fault in check_motor(spec).faults if fault.startswith("columns_changed")]
     name = f"{shop.logs.name}/{labels[3]}.parquet"
     assert fault.startswith(f"columns_changed: from the night {labels[3]} ({name}) on: ")
     assert "high port pressure" in fault

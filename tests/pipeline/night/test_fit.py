@@ -130,14 +130,14 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
     spec = load_motor(tmp_path, text)
     rows = outcome(spec).rows
     reference = {
-        one["source"]: one for one in rows["error_budget"] if one["indicator"] == "fitted_leakage"
+        row["source"]: row for row in rows["error_budget"] if row["indicator"] == "fitted_leakage"
     }
     wanted = {"oil_temperature offset", "leakage_flow gain", "film pressure share"}
     assert wanted <= reference.keys()
-    ring = [one for one in rows["error_budget"] if one["indicator"] == "K_piston_ring"]
-    stated = [one["effect"] for one in ring if not one["is_assumed"]]
+    ring = [row for row in rows["error_budget"] if row["indicator"] == "K_piston_ring"]
+    stated = [row["effect"] for row in ring if not row["is_assumed"]]
     assert 0 < len(stated) < len(ring)
-    (row,) = [one for one in rows["parameters"] if one["parameter"] == "K_piston_ring"]
+    (row,) = [row for row in rows["parameters"] if row["parameter"] == "K_piston_ring"]
     assert row["systematic"] == pytest.approx(np.linalg.norm(stated))
     # model.md, section 5: 1 °C moves the reference leakage by −4.8 %.
     leakage = fit_of(rows)["fitted_leakage_l_per_min"]

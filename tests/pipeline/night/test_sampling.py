@@ -216,7 +216,7 @@ def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None
     flow = configured_flow(spec, MOVING)
     reference = fitted(spec, MOVING, flow)
     counted = fitted(load_motor(tmp_path, text), MOVING, 1e4 + np.cumsum(flow) / 60.0)
-    thetas = [fit_of(one.rows)["coefficients"] for one in (counted, reference)]
+    thetas = [fit_of(sampled.rows)["coefficients"] for sampled in (counted, reference)]
     np.testing.assert_allclose(*thetas, rtol=1e-4)
 
 

@@ -204,7 +204,7 @@ ANY_STAMPS = st.lists(st.integers(0, 400), unique=True, max_size=30).map(sorted)
 EVEN_STAMPS = st.tuples(
     st.sampled_from([-200, -50, 0, 5, 30, 390]),
     st.lists(st.tuples(st.integers(1, 9), st.sampled_from([10, 10, 20, 30, 50, 7])), max_size=8),
-).map(lambda one: np.cumsum([one[0], *(step for n, step in one[1] for _ in range(n))]).tolist())
+).map(lambda of: np.cumsum([of[0], *(step for n, step in of[1] for _ in range(n))]).tolist())
 
 
 @given(

@@ -128,7 +128,7 @@ def test_a_corrected_night_is_read_and_no_other_is_fitted(workshop: Workshop) ->
     assert outcome.nights == (touched,)
     assert written(before, files(workshop, *tables)) == {str(touched)}
     assert written(fits, files(workshop, "fits")) == {str(touched)}
-    changed = {night for night, one in previous(workshop).items() if one != percents[night]}
+    changed = {night for night, percent in previous(workshop).items() if percent != percents[night]}
     assert changed == {touched, after}
     assert written(trends, files(workshop, "trends")) == {str(touched), str(after), str(last)}
     assert set(workshop.statuses().values()) == {"ok"}

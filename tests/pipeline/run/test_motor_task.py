@@ -184,27 +184,27 @@ def forms(made: Workshop) -> list[bool]:
 
 @pytest.mark.usefixtures("_two_nights_decide")
 def test_all_nights_change_with_the_decision(tmp_path: Path) -> None:
-    one, two = with_roller(tmp_path / "one"), with_roller(tmp_path / "two")
+    nightly, two = with_roller(tmp_path / "one"), with_roller(tmp_path / "two")
     for number in range(3):
         two.log(NIGHT + number * DAY, seed=number)
     two.run()
-    one.log(NIGHT, seed=0)
-    one.run()
-    assert forms(one) == [False]
+    nightly.log(NIGHT, seed=0)
+    nightly.run()
+    assert forms(nightly) == [False]
     for number in (1, 2):
-        one.log(NIGHT + number * DAY, seed=number)
-    one.run()
-    assert forms(one) == [True] * 3
-    check_same_figures(one, two, "log_files")
-    assert_frame_equal(one.rows("trends"), two.rows("trends"), check_exact=True)
+        nightly.log(NIGHT + number * DAY, seed=number)
+    nightly.run()
+    assert forms(nightly) == [True] * 3
+    check_same_figures(nightly, two, "log_files")
+    assert_frame_equal(nightly.rows("trends"), two.rows("trends"), check_exact=True)
 
 
 @pytest.mark.usefixtures("_two_nights_decide")
 def test_a_back_fill_in_parts_decides_with_the_first_that_can(tmp_path: Path) -> None:
     parts, whole = with_roller(tmp_path / "parts"), with_roller(tmp_path / "whole")
     for number in range(4):
-        for one in (parts, whole):
-            one.log(NIGHT + number * DAY, seed=number)
+        for shop in (parts, whole):
+            shop.log(NIGHT + number * DAY, seed=number)
     request = RunRequest(load_fleet(parts.fleet))
     run_fleet(replace(request, until=NIGHT + DAY))
     assert forms(parts) == [True] * 2

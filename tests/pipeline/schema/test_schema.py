@@ -87,7 +87,7 @@ def _figure_of(column: Column, table: Table) -> str:
     stem = re.sub(r"_(lower|upper)$", "", column.name)
     if stem == column.name:
         return stem
-    return next(name for name in (*(f"{stem}{one}" for one in SUFFIXES.values()), stem)
+    return next(name for name in (*(f"{stem}{suffix}" for suffix in SUFFIXES.values()), stem)
                 if name in table.schema)  # fmt: skip
 
 

@@ -30,7 +30,7 @@ def row(motor: str, reason: str = "gap", refused: int = 1, night: dt.date = NIGH
 
 
 def rows(*some: Row, run_id: str = "first") -> pl.DataFrame:
-    return frame(QUALITY, [{**one, "run_id": run_id} for one in some])
+    return frame(QUALITY, [{**content, "run_id": run_id} for content in some])
 
 
 def publish(
@@ -52,7 +52,7 @@ def publish_night(
     output: Path, some: Mapping[str, Sequence[Row]], run_id: str = "r", table: Table = QUALITY
 ) -> None:
     """Publish rows of one night by motor."""
-    publish(output, {one: {table: {NIGHT: rows}} for one, rows in some.items()}, run_id)
+    publish(output, {motor: {table: {NIGHT: rows}} for motor, rows in some.items()}, run_id)
 
 
 def all_files(folder: Path) -> list[str]:

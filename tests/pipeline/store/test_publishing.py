@@ -42,10 +42,10 @@ def published(output: Path) -> list[tuple[str, str, int, str]]:
 class TestStaged:
     @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
     def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
-        one = {name: value for name, value in example(table).items() if name != "run_id"}
-        publish(tmp_path, {"A": {table: {NIGHT: [one], LATER: []}}}, "run")
+        content = {name: value for name, value in example(table).items() if name != "run_id"}
+        publish(tmp_path, {"A": {table: {NIGHT: [content], LATER: []}}}, "run")
         (path,) = files_of(tmp_path, table)
-        expected = frame(table, [{**one, "run_id": "run"}])
+        expected = frame(table, [{**content, "run_id": "run"}])
         assert_frame_equal(read_table(path, table), expected)
 
     def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ class TestRows:
         output = tmp_path_factory.mktemp("history")
         last: dict[str, tuple[int, set[str]]] = {}
         for number, change in enumerate(history):
-            staged = {m: [row(m, one) for one in some] for m, some in change.items()}
+            staged = {m: [row(m, reason) for reason in some] for m, some in change.items()}
             publish_night(output, staged, f"{number}")
             last |= {motor: (number, some) for motor, some in change.items()}
         expected = sorted(
@@ -119,7 +119,7 @@ class TestRows:
             while order:
                 count = data.draw(st.integers(1, len(order)))
                 now, order = order[:count], order[count:]
-                done = {motor: [n for one, n in now if one == motor] for motor, _ in now}
+                done = {motor: [n for of, n in now if of == motor] for motor, _ in now}
                 publish(folder / "in turn", {motor: rows(motor, n) for motor, n in done.items()})
         assert contents(folder / "at once" / "tables") == contents(folder / "in turn" / "tables")
 
@@ -141,7 +141,7 @@ class TestRows:
             logs[moved_to or NIGHTS[0]].append(moving)
             publish(tmp_path, {"A": {LOG_FILES: logs}})
             assert sorted(seen[-1]["path"]) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
-        assert all(one["path"].is_unique().all() for one in seen)
+        assert all(rows["path"].is_unique().all() for rows in seen)
 
 
 class TestRefused:
@@ -158,12 +158,12 @@ class TestRefused:
         for _ in range(2 if is_listed else 1):
             with refused("store_read", "2026-01.parquet of quality is"):
                 publish_night(tmp_path, {"A": [row("A", "x")]})
-            assert [one.read_bytes() for one in path.parent.iterdir()] == [b"something else"]
+            assert [file.read_bytes() for file in path.parent.iterdir()] == [b"something else"]
             assert not path.exists()
         with open_state(tmp_path) as state:
             note(state, {path.relative_to(tmp_path / "tables").as_posix(): None})
         publish_night(tmp_path, {"A": [row("A")]})
-        assert [one[0] for one in published(tmp_path)] == ["A"]
+        assert [entry[0] for entry in published(tmp_path)] == ["A"]
 
     def test_a_failure_leaves_what_was_there(self, tmp_path: Path) -> None:
         def rows(night: dt.date) -> dict[Table, dict[dt.date, list[Row]]]:

@@ -96,7 +96,7 @@ def test_a_scheduler_without_workers_and_one_that_is_gone(
             os.killpg(processes.scheduler.pid, signal.SIGKILL)
             rest = list(results)
         assert len(rest) == 3
-        assert all("scheduler_lost: " in one for one in rest)
+        assert all("scheduler_lost: " in message for message in rest)
 
 
 def test_few_tasks_are_in_flight_and_a_stopped_run_takes_its_own_back(

@@ -78,7 +78,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
 
     monkeypatch.setattr(pipeline.run.publishing, "run_trends", Misbehaving(BAD, "segfault").watch)
     result = run_with(fleet, LIMITS)
-    assert [one.motor_id for one in result.failed] == [BAD]
+    assert [motor.motor_id for motor in result.failed] == [BAD]
     (row,) = rows(output_of(fleet), "run_motors", BAD).to_dicts()
     assert (row["status"], row["error_code"]) == ("failed", "worker_died")
     assert re.match(
