@@ -1,4 +1,4 @@
-"""Files of logs to raw channels: one contract, a reader a format.
+"""Files of logs to raw channels: a common contract, a reader a format.
 
 Imports config, units and errors, nothing else of the pipeline.
 """

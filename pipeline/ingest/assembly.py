@@ -32,7 +32,7 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Raw figures of one channel, before scale, offset and unit."""
+    """Raw figures of a channel, before scale, offset and unit."""
 
     raw: NDArray[np.float64]  # nan where missing
     missing: NDArray[np.bool_]
@@ -174,7 +174,7 @@ class Gathered:
     """Rows of a table, or messages of a topic, in the order of the file.
 
     `columns` are those, or the fields, that hold the readings of each channel. Two channels may
-    have one.
+    share them.
     """
 
     def __init__(self, path: Path, channels: Channels, columns: Mapping[Any, Any]) -> None:
@@ -286,8 +286,8 @@ def without_rows_of_others(
     """Channels of a table without those blank cells that tell of no missing reading.
 
     Where each channel is logged at times of its own, a table has a row for each of them, which is
-    blank for the others. So is a channel most of whose readings stand alone in their rows; one that
-    shares them was to have a reading there. Several channels may be of one column.
+    blank for the others. So is a channel most of whose readings stand alone in their rows; if it
+    shares them, it was to have a reading there. Several channels may be of the same column.
 
     Examples
     --------
@@ -334,7 +334,7 @@ class Samples:
 
     time_us: NDArray[np.int64]  # UTC, microseconds since 1970, in the order of the file
     value: NDArray[np.float64]  # as logged, before scale, offset and unit
-    missing: NDArray[np.bool_] | None = None  # samples that hold no number; None: all hold one
+    missing: NDArray[np.bool_] | None = None  # samples that hold no number; None: all hold numbers
     quality: NDArray[Any] | None = None  # codes, text or numbers; None: the log has none
 
 

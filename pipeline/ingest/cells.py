@@ -47,7 +47,7 @@ def quality_states(
     """State of each cell of a quality column: good, bad or blank; blank where it is null.
 
     Text is compared without regard to case and blanks around it, and as a number where both are
-    numbers: 192, 192.0 and "192" are one, and so are true and 1.
+    numbers: 192, 192.0 and "192" are the same, and so are true and 1.
 
     Raises LogError: ``log_type``: the column holds neither text nor numbers, or too many different
     ones.

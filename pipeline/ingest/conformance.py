@@ -53,7 +53,7 @@ Cell = float | str | None
 
 @dataclass(frozen=True)
 class Row:
-    """Cells logged at one time."""
+    """Cells logged at the same time."""
 
     time_us: int
     cells: Mapping[str, Cell]
@@ -160,7 +160,7 @@ def every_sample_comes_back_to_the_last_digit(form: Format, folder: Path) -> Non
 
 
 def scale_offset_and_unit_make_the_canonical_reading(form: Format, folder: Path) -> None:
-    """A 4-20 mA transmitter for 0-400 bar, here in psi; °F; one source may feed two channels."""
+    """A 4-20 mA transmitter for 0-400 bar, here in psi; °F; a source may feed two channels."""
     rows = [Row(T0_US, {"dp": 12.0, "T": 122.0, "q": 1e308})]
     channels: Channels = {
         "high_port_pressure": Channel(source="dp", unit="kPa"),
@@ -190,7 +190,7 @@ def blank_is_missing_but_nan_and_infinity_are_readings(form: Format, folder: Pat
 
 
 def text_that_is_no_number_is_missing_and_counted(form: Format, folder: Path) -> None:
-    """Counted in its channel alone; without one number it is an error."""
+    """Counted in its channel alone; without any number it is an error."""
     log = form.read(folder, pressures([1.0, "ERR", 2.0, "1.2.3", None, "0x10", "true", 3.0]))
     channel = log.channels["pressure_difference"]
     assert (channel.unparsed, channel.missing.sum()) == (4, 5)

@@ -1,4 +1,4 @@
-"""The contract of all readers of logs, whatever the format of the file, and the way to read one.
+"""The contract of all readers of logs, whatever the format of the file, and the way to read a log.
 
 A `Reader` is given a `LogFile`, with the motor's `Logs` and `Channel`s as configured, and returns a
 `RawLog`: each channel on its own time stamps, in the order of the file, in canonical units, with
@@ -34,7 +34,7 @@ from pipeline.units import CHANNELS, to_canonical
 
 @dataclass(frozen=True, slots=True)
 class RawChannel:
-    """Samples of one channel as they are in the file; arrays of shape (n,), read-only."""
+    """Samples of a channel as they are in the file; arrays of shape (n,), read-only."""
 
     # UTC, microseconds since 1970, in the order of the file: backward time is for cleaning.
     time_us: NDArray[np.int64]
@@ -62,7 +62,7 @@ class RawChannel:
 
     @staticmethod
     def joined(parts: Sequence[RawChannel]) -> RawChannel:
-        """Samples one after the other; where a part says nothing of its quality, it is not bad."""
+        """Samples in turn; where a part says nothing of its quality, it is not bad."""
         marks = [part.bad_quality for part in parts]
         bad = [
             np.zeros(part.missing.size, np.bool_) if own is None else own
@@ -110,7 +110,7 @@ class LogFile:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """A reader of one format."""
+    """A reader of a format."""
 
     read: Callable[[LogFile], RawLog]  # the log, with all its channels
     # Its smallest and largest time stamp [µs since 1970, UTC], without reading everything; None:
@@ -204,11 +204,11 @@ def require_possible(first_us: int, last_us: int, latest_us: int) -> None:
         )
 
 
-# To read one
+# To read a log
 
 
 def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None = None) -> RawLog:
-    """Read the channels of a log; one without rows gives channels without samples.
+    """Read the channels of a log; a log without rows gives channels without samples.
 
     Samples after `latest_us` [µs since 1970] lie in the future; None: after a day from now.
 
@@ -282,7 +282,7 @@ def _opened(
 
 @contextmanager
 def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
-    """Any error of an installed reader as one of the log; a built-in one's stay as they are.
+    """Any error of an installed reader as one of the log; a built-in's stay as they are.
 
     What it prints is none of the program's output.
     """

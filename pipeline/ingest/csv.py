@@ -135,7 +135,7 @@ def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
 
 
 class _Rows:
-    """Takes the pieces of a file one after the other, and gives the log."""
+    """Takes the pieces of a file in turn, and gives the log."""
 
     def __init__(self, file: LogFile, columns: Columns) -> None:
         self.path, self.logs = file.path, file.logs
@@ -317,7 +317,7 @@ class _Ragged:
 
 
 def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
-    """Time stamps of a column of time, or of one of dates and one of times."""
+    """Time stamps of a column of time, or of a column of dates and one of times."""
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
     if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
         columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
@@ -325,7 +325,7 @@ def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
 
 
 def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text, or of one that Arrow could parse as float64."""
+    """Numbers of a column of text, or of a column that Arrow could parse as float64."""
     if pa.types.is_floating(cells.type):
         return readings_of(cells)
     texts = pl.Series(name, cells)
@@ -377,7 +377,7 @@ def _packer(head: bytes) -> str | None:
 def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]:
     """Text of a file, plain or packed, in UTF-8, as pieces of whole lines; `piece` in bytes.
 
-    There is one piece at least. The last one is what stands behind the last line end, if anything.
+    There is at least one piece. The last is what stands behind the last line end, if anything.
     Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
     """
     pieces, begin = _decoded(path, unpacked(path, piece), encoding), b""
@@ -431,7 +431,7 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
 
 
 def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[bytes]:
-    # Not the zstandard package's reader: it takes a cut file for a whole one.
+    # Not the zstandard package's reader: it takes a cut file for whole.
     try:
         with pa.CompressedInputStream(pa.PythonFile(file, "r"), packer) as stream:
             # Not `read`: in PyArrow 26 a stream that fails keeps what that has set aside for good.

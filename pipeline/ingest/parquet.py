@@ -145,7 +145,7 @@ def opened(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetF
     """
     _require_magic(path)
     try:
-        # Not memory mapped: a file cut by another process would end this one.
+        # Not memory mapped: a file cut by another process would end this.
         # Opened here: PyArrow takes no name that is not UTF-8.
         with (
             path.open("rb") as opened_file,
@@ -234,7 +234,7 @@ def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
 
 
 def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.Array:
-    """The column at a place; null where one around it is."""
+    """The column at a place; null where any around it is."""
     column = batch.column(place.names[0])
     if len(place.names) > 1:
         column = pc.struct_field(column, list(place.names[1:]))

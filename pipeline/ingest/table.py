@@ -155,7 +155,7 @@ class RawTable:
         """All rows as a log, with counts of those left out before; the table is empty afterwards.
 
         Raises LogError: ``log_type``; ``log_time`` where more than half of the rows have no time;
-        ``log_column_missing`` where a table has rows, and none of the motor, or a long one none of
+        ``log_column_missing`` where a table has rows, and none of the motor, or if long none of
         a wanted channel.
         """
         file, logs = self.file, self.file.logs

@@ -82,7 +82,7 @@ def example_of(time_format: str) -> str:
 
 
 def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
-    """Time stamps of a column of time, or of one of dates and one of times of day.
+    """Time stamps of a column of time, or of a column of dates and one of times of day.
 
     A null is a blank cell.
 
@@ -139,7 +139,7 @@ def _from_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
 def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
     """Time stamps of a column of numbers; a nan is a blank cell.
 
-    None of them can be read where the format is one of text.
+    None of them can be read where the format is of text.
 
     Examples
     --------
@@ -252,7 +252,7 @@ def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
 
 
 def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | None:
-    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
+    """The first stamp that is read and cannot be, such as that of a clock that was never set."""
     if readable.all():
         return None
     rows = np.flatnonzero(~readable & (stamps.kind != _NONE))[:1]

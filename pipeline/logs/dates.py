@@ -32,7 +32,7 @@ _DATES = tuple(map(re.compile, _FORMS))
 
 
 def date_in(name: str) -> dt.date | None:
-    """Return the last date in a file's name, or None without one."""
+    """Return the last date in a file's name, or None without a date."""
     dates = _DATE_IN_NAME.findall(name)
     with suppress(ValueError):
         return dt.date(*map(int, dates[-1])) if dates else None

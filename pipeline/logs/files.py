@@ -25,7 +25,7 @@ from pipeline.workers.process import reading
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-# Of a record: what is another one where a file is written to or replaced.
+# Of a record: what is another where a file is written to or replaced.
 OF_CONTENT = ("size", "modified_ns", "inode")
 
 
@@ -56,7 +56,7 @@ def inspect_log(
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
-    """The change of a file since it was looked at; None without one, or if the file is gone."""
+    """The change of a file since it was looked at; None without any, or if the file is gone."""
     now = stat_log(record.path, path)
     # Not by `changed_ns`: a backup that links the file does nothing to its content.
     is_same = all(getattr(now, name) == getattr(record, name) for name in OF_CONTENT)
@@ -68,7 +68,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
 
 
 def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
-    """Return reason to leave a file that was just written to to a later run; None without one."""
+    """Return reason to leave a file that was just written to to a later run; None without any."""
     age_s = (time.time_ns() - record.modified_ns) / 1e9
     # A clock that is far ahead must not keep a file out for good.
     if abs(age_s) >= settle_s:
@@ -202,7 +202,7 @@ def slice_night(
     """
     parts: dict[str, list[RawChannel]] = {}
     for log in logs:
-        # Channels of one table share their stamps.
+        # Channels of a table share their stamps.
         shared: dict[tuple[int, int, int], tuple[Rows, NDArray[np.int64]]] = {}
         for name, channel in log.channels.items():
             time_us, start_us = channel.time_us, night.start_us - reach_us.get(name, 0)

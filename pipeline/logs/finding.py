@@ -1,7 +1,7 @@
 """Log files of motors, found by the patterns of a config in a folder or an object store.
 
 Of an object store each log that is read is copied; a listing gives size, tag and last change of
-every object: a known one is not opened.
+every object: a known object is not opened.
 
 Of a Delta table, files of its newest version are logs: others lie beside them until a clean-up. Its
 `_delta_log/` has a JSON file a version, with a line an action, and now and then a checkpoint with
@@ -40,7 +40,7 @@ from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredO
 from pipeline.workers.process import reading, still_alive
 
 LONGEST_PATH = 4096
-# Of logs; a packed one has another behind it.
+# Of logs; a packed log has another behind it.
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
 DELTA_LOG = "_delta_log"
 # Logs without a motor that are named.
@@ -84,7 +84,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
     names: dict[str, Path] = {}
     for path in sorted(of_newest_version(paths, root) | refused):
         name = legible(path.as_posix().removeprefix(f"{root.as_posix()}/"))
-        while name in names:  # Another file's name is what this one's is shown as.
+        while name in names:  # Another file's name is what this is shown as.
             name += "'"
         names[name] = path
     return names, absent
@@ -150,7 +150,7 @@ def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
 
 
 def suffix_of(path: Path) -> str:
-    """Return ending of a log's name, that of a packed one with what it packs: ".csv.gz"."""
+    """Return ending of a log's name, that of a packed log with what it packs: ".csv.gz"."""
     packed = path.suffix.lower() in (".gz", ".zst")
     return "".join(path.suffixes[-2:]) if packed else path.suffix
 
@@ -278,14 +278,14 @@ class FolderLogs:
         return stat_log(name, self.path(name))
 
     def path(self, name: str) -> Path:
-        """Return a file with the content of a log; of one that is gone, where it was.
+        """Return a file with the content of a log; of a log that is gone, where it was.
 
         Raises LogError: ``log_growing``: it is no more as it was when it was listed.
         """
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """Return the change of a log since it was looked at; None without one."""
+        """Return the change of a log since it was looked at; None without any."""
         return change_of(record, self.path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
@@ -354,7 +354,7 @@ class StoredLogs(FolderLogs):
 def _matching_objects(
     store: ObjectStore, patterns: tuple[str, ...]
 ) -> tuple[dict[str, StoredObject], list[str], list[str]]:
-    """Objects by key that patterns name; patterns of one that is absent; globs without a match.
+    """Objects by key that patterns name; patterns of an absent object; globs without a match.
 
     Only the folder that a pattern names before its first wildcard is listed.
     """
@@ -380,7 +380,7 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 
     Examples
     --------
-    >>> [_fits(["M1", "old", "a.csv"], one.split("/")) for one in ("M1/*.csv", "**/a.csv")]
+    >>> [_fits(["M1", "old", "a.csv"], path.split("/")) for path in ("M1/*.csv", "**/a.csv")]
     [False, True]
     """
     if not pattern:

@@ -233,7 +233,7 @@ class MotorLogs:
         return content
 
     def let_go_until(self, label: dt.date) -> None:
-        """Give up contents that no night after this one needs."""
+        """Give up contents that no later night needs."""
         for name in list(self._open):
             if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
@@ -264,7 +264,7 @@ class MotorLogs:
         }
 
     def counts(self, done: Collection[dt.date]) -> Counter[str]:
-        """Return number of files by outcome, one of `FATES`."""
+        """Return number of files by outcome of `FATES`."""
         finished = self.finished(done)
         return Counter(self._fate(name, finished) for name in self.files)
 

@@ -56,13 +56,13 @@ class FileRecord:
     last_us: int | None = None
     # Labels of the nights in which it has samples, or which fail with it.
     nights: tuple[str, ...] = ()
-    # status, error_code, message: ``ok``, ``failed``, or ``growing`` for one that is changed while
-    # it is read, and the reason; of an ``ok`` file the rows left out.
+    # status, error_code, message: ``ok``, ``failed``, or ``growing`` for a log that is changed
+    # while it is read, and the reason; of an ``ok`` file the rows left out.
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
     # inode: of an object its tag as a number. changed_ns: time of a file's last change, also of its
-    # name, which differs if another one has taken its name and time; 0 of an object.
+    # name, which differs if another has taken its name and time; 0 of an object.
     inode: int = 0
     changed_ns: int = 0
 
@@ -124,7 +124,7 @@ class ProcessedChange:
 
     @classmethod
     def between(cls, before: ProcessedLogs, after: ProcessedLogs) -> ProcessedChange:
-        """Return the change from one record of processed logs to another."""
+        """Return the change between two records of processed logs."""
         return cls(
             _changed(before.files, after.files),
             _changed(before.nights, after.nights),
@@ -219,7 +219,7 @@ def unpublished_rows(state: StateDatabase, motor_id: str) -> dict[dt.date, dict[
 
 
 def note_published(state: StateDatabase, motor_id: str, last: dt.date) -> None:
-    """Note that a motor's nights up to the last one are in `nights`; raises StoreError."""
+    """Note that a motor's nights up to the last are in `nights`; raises StoreError."""
     change = "UPDATE nights SET row = NULL WHERE motor_id = ? AND night <= ? AND row IS NOT NULL"
     state.write(change, motor_id, str(last))
 

@@ -1,6 +1,6 @@
 """A channel's samples in order, every rule applied, and what each of them refused counted.
 
-Channels are cleaned on their own samples, before the time base: one bad temperature sample,
+Channels are cleaned on their own samples, before the time base: a bad temperature sample,
 interpolated to 10 Hz, would spoil nineteen. Samples are readings, changes, means of a period, or
 counts of a volume: the config says which (`[channels.<name>] sampling`, `counts`); nothing here
 guesses. The rules on arrays are in `pipeline.night.masks`.
@@ -66,15 +66,15 @@ class ChannelRules:
     at_rest_below: float = 0.0
     # A sample is written where the value changes: silence is no gap, and there is no period.
     on_change: bool = False
-    hold: bool = False  # between two samples the first one holds; else the value is interpolated
+    hold: bool = False  # between two samples the first holds; else the value is interpolated
     mean_us: float = 0.0  # period of which a sample is the mean; 0: a reading
     shift_us: int = 0  # from the stamp as logged to the time at which the sample holds
     # `cumulative` for a running total, `pulses` for counts since the sample before; None for a
-    # flow. Volume of one count, and the count after which a running total begins at 0 again.
+    # flow. Volume of a count, and the count after which a running total begins at 0 again.
     counts: str | None = None
     volume_per_count_cm3: float = 0.0
     rolls_over_at: float | None = None
-    # A row of the log is of this channel alone, so that one without a value says that there is
+    # A row of the log is of this channel alone, so that a row without a value says that there is
     # none; else it may only be a row of another channel.
     has_rows_of_its_own: bool = False
 
@@ -119,7 +119,7 @@ class ChannelRules:
         return max(GAP_SAMPLE_PERIODS * (period_us or 0.0), self.shortest_gap_s * SECOND_US)
 
     def step_of(self, readings: Values, period_us: float | None) -> float:
-        """Return the step of readings: stated, of one count in a period, or as they show it."""
+        """Return the step of readings: stated, of a count in a period, or as they show it."""
         counted = 0.0
         if self.counts is not None and period_us:
             counted = self.volume_per_count_cm3 / period_us * CM3_PER_US_TO_L_PER_MIN
@@ -157,7 +157,7 @@ class Rests:
         return cls(speed.time_us[begins], speed.time_us[ends - 1])
 
     def hold(self, time_us: Times) -> Mask:
-        """Return times that lie within one, shape (m,)."""
+        """Return times that lie within a halt, shape (m,)."""
         if not len(self.begins_us):
             return np.zeros(len(time_us), dtype=np.bool_)
         last = self.begins_us.searchsorted(time_us, "right") - 1
@@ -178,7 +178,7 @@ class CleanChannel:
     at_maximum: Mask  # samples at which the sensor was at its maximum, shape (n,)
     steps: Steps  # from each sample to the next, and their typical length
     longest_gap_us: float  # longer silence than this is a gap
-    gaps: Places  # steps that are one
+    gaps: Places  # steps that are gaps
     rules: ChannelRules  # what the samples are
     counts: Mapping[str, int]  # refused samples by reason, and ``any`` for those refused at all
     n_samples: int  # samples that the rules looked at
@@ -306,7 +306,7 @@ def _carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) ->
     """Return the last sample of an on-change channel before the night, if it may hold; or none."""
     says = _says_something(early, rules) & (early.time_us >= earliest_us)
     rows = np.flatnonzero(says) if rules.on_change else np.empty(0, np.intp)
-    # Of two at one time the first one counts, as within the night.
+    # Of two at the same time the first counts, as within the night.
     last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
     return _corrected(early.rows(last), rules)
 
@@ -355,7 +355,7 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Credible samples of a channel, as the rules for one channel judge them."""
+    """Credible samples of a channel, as the rules for a channel judge them."""
 
     # time_us, value: shape (n,).
     time_us: Times
@@ -389,6 +389,6 @@ def _stuck(course: Course) -> Mask:
     return stuck
 
 
-# Rules for the credible samples of one channel, by their reason in `quality`. Each gives a mask
+# Rules for the credible samples of a channel, by their reason in `quality`. Each gives a mask
 # of the samples that it refuses; `QUALITY_REASONS` has the words.
 CHANNEL_RULES: dict[str, Callable[[Course], Mask]] = {"spike": _spikes, "frozen": _stuck}

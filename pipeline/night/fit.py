@@ -1,4 +1,4 @@
-"""The one fit, from stored blocks: of a night just read, of one fitted anew, of nights together.
+"""The fit from stored blocks: of a night just read, of a night fitted anew, of nights together.
 
 The total ± of a figure, of samples, sensors and model, is half the width of a 95 % interval of the
 figure itself; a stated tolerance counts as two standard deviations, and of sensors whose tolerance
@@ -46,7 +46,7 @@ from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.schema import Row
 
 REFERENCE, OWN = "fitted_leakage", "own_conditions_leakage"
-# ± of a change of all loss factors with temperature, which one night cannot tell (model.md,
+# ± of a change of all loss factors with temperature, which a single night cannot tell (model.md,
 # section 5) [1/K].
 UNKNOWN_PER_KELVIN = 0.01
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
@@ -66,7 +66,7 @@ SENSITIVITY_SAMPLES = 1500
 class ErrorParts:
     """Half-widths of a figure, in its unit."""
 
-    statistical: float | None  # of the interval from the samples; None without one
+    statistical: float | None  # of the interval from the samples; None without it
     sensor: float  # from tolerances of the sensors, stated or assumed
     model: float | None  # from the night's structured misfit; None where it is not known
     # From tolerances of constants, as far as they are not the same on all nights.
@@ -74,7 +74,7 @@ class ErrorParts:
 
     @property
     def beside_samples(self) -> float:
-        """All parts but the statistical one."""
+        """All parts but the statistical."""
         return math.hypot(self.sensor, self.model or 0.0, self.constants)
 
     @property
@@ -87,7 +87,7 @@ class ErrorParts:
 
 @dataclass(frozen=True, slots=True)
 class BlockFit:
-    """The fit under one mode of flushing."""
+    """The fit under a mode of flushing."""
 
     name: str  # none, fixed or estimated
     # fit, identification: estimates from all kept samples; verdicts and intervals.
@@ -112,7 +112,7 @@ class BlockFit:
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
 ) -> tuple[list[BlockFit], list[Row]]:
-    """Return a fit for each mode of flushing, the primary one first, and rows of `error_budget`.
+    """Return a fit for each mode of flushing, the primary first, and rows of `error_budget`.
 
     Raises EstimationError if there are fewer samples than free coefficients.
     """
@@ -280,7 +280,7 @@ def by_squares(budget: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def of_extrapolation(budget: Iterable[Mapping[str, Any]], ratio: float) -> float:
-    """± of the reference leakage against the own one, by constants, scaled by their ratio."""
+    """± of the reference leakage against the own, by constants, scaled by their ratio."""
     effects: defaultdict[str, float] = defaultdict(float)
     scale = {REFERENCE: 1.0, OWN: -ratio}
     for row in budget:

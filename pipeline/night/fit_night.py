@@ -1,8 +1,8 @@
-"""One motor, one night: raw channels in, rows of the tables out.
+"""A motor's night: raw channels in, rows of the tables out.
 
 Pure: no files, no shared state, and errors are data. The order of the stages is the order of the
-data: clean each channel, one time base, joint rules, regressors, matched smoothing, blocks, split,
-fit, validation, rows.
+data: clean each channel, time base, joint rules, regressors, matched smoothing, blocks, split, fit,
+validation, rows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pipeline.schema import Row
 from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
 
-# Fewer blocks than these minutes fill tell nothing of the errors beyond one of them.
+# Fewer blocks than these minutes fill tell nothing of the errors beyond a block.
 MINIMUM_TRAINING_MINUTES = 5.0
 # Of fewer of the running motor's samples nobody knows whether they are typical of the night.
 MINIMUM_KEPT_SHARE = 0.6
@@ -67,13 +67,13 @@ def fit_night(
     channels: MutableMapping[str, RawChannel],
     look: Callable[[Samples], object] = lambda _: None,
 ) -> NightOutcome:
-    """Fit one motor's night; whatever happens short of a fault in the code is its outcome.
+    """Fit a motor's night; whatever happens short of a fault in the code is its outcome.
 
     `spec, night`: The motor with its resolved config, in the form in which it is fitted, and the
     night.
-    `channels`: Raw samples of the night by channel; of an on-change one also some from before it,
-    of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is not to
-    be in memory twice.
+    `channels`: Raw samples of the night by channel; of an on-change channel also some from before
+    it, of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
+    not to be in memory twice.
     `look`: Called with the kept samples.
     """
     seconds: dict[str, float] = {}
@@ -126,7 +126,7 @@ def unfitted(
     rows: Rows | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> NightOutcome:
-    """The outcome of a night without a fit: one row that says why, and what was counted so far."""
+    """The outcome of a night without a fit: a row that says why, and what was counted so far."""
     unfitted = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
     unfitted["nights"] = [night_row(spec, night, data or {}, status, reason, code)]
     unfitted["fits"] = [unfitted_row(spec, night)]

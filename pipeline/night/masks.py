@@ -22,7 +22,7 @@ LOOKED_AT_A_STRETCH = 16
 LATE_SHARE = 0.75
 # A limit is not crossed by less than this share of it: a conversion of units leaves that much.
 ROUNDING = 1e-6
-# Nor is a distance in steps of the sensor by less than this share of one.
+# Nor is a distance in steps of the sensor by less than this share of a step.
 STEP_ROUNDING = 0.01
 # cm³/µs -> l/min.
 CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0
@@ -71,15 +71,15 @@ def missing_sample(
 ) -> Mask:
     """Return blank cells at which the channel should have had a sample.
 
-    In a log whose rows are those of the fastest channel, a slower one is blank in most of them: a
-    blank cell is a missing sample only where the channel's own period, counted from its last
-    sample, says that one is due, and none comes a little late.
+    In a log whose rows are those of the fastest channel, a slower channel is blank in most of them:
+    a blank cell is a missing sample only where the channel's own period, counted from its last
+    sample, says that a sample is due, and none comes a little late.
     """
     if period_us is None or not blank.any():
         return blank.copy()
     row_us = row_us or period_us
     due = np.zeros(len(time_us), dtype=np.bool_)
-    # Stretches of blank cells, each with the sample before it and the next one.
+    # Stretches of blank cells, each with the sample before it and the next.
     begins, ends = stretches(blank)
     begins = begins - 1
     if begins[0] < 0:
@@ -206,7 +206,7 @@ def frozen(
     frozen_after_us: float,
     borders: NDArray[np.intp] = NO_BORDERS,
 ) -> Mask:
-    """Return values that stay within one step of the sensor for too long.
+    """Return values that stay within a step of the sensor for too long.
 
     Readings of the sensor's steps are distinguished; noise of less than half a step between them,
     as a conversion of units leaves it, is no change, wherever it lies. The gaps before `borders`
@@ -325,8 +325,8 @@ def flow_from_counts(
     """Return the flow [l/min] of a counter of volume since each sample before, at the middle.
 
     It counts since the sample before, or is a running total, which may begin at 0 again. Masks by
-    reason: samples without a known one before them, the first and those after a gap, and those at
-    which a total fell other than by rolling over. The flow is nan where it is not known.
+    reason: samples without a known sample before them, the first and those after a gap, and those
+    at which a total fell other than by rolling over. The flow is nan where it is not known.
     """
     steps = np.diff(time_us, prepend=time_us[:1])
     fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)

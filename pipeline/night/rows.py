@@ -58,7 +58,7 @@ def night_row(
 
 
 def unfitted_row(spec: MotorSpec, night: dt.date) -> Row:
-    """Return the one row in `fits` of a night without a fit."""
+    """Return the row in `fits` of a night without a fit."""
     mode = spec.file.flushing.mode
     return {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode, "is_primary": True}
 

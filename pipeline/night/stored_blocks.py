@@ -48,7 +48,7 @@ class StoredBlocks:
 
     @classmethod
     def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
-        """Return blocks of a night's rows; None where one is of a model with other columns."""
+        """Return blocks of a night's rows; None where any is of a model with other columns."""
         if rows["factor_columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)

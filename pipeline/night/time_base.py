@@ -1,4 +1,4 @@
-"""One time base for all channels of a night, and the rules that need them all at once.
+"""The common time base of all channels of a night, and the rules that need them all at once.
 
 The grid is anchored at the night's start, so it does not depend on which files a night came in.
 An on-change channel begins with its last sample before the night. Slower channels are interpolated
@@ -151,7 +151,7 @@ class Together:
 def bring_together(
     channels: Mapping[str, CleanChannel], night: Night, settings: Settings
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """All channels on one time base, and the joint rules: gap, standstill, guard, transient."""
+    """All channels on the time base, and the joint rules: gap, standstill, guard, transient."""
     of_oil = {name: channel for name, channel in channels.items() if name in VISCOSITIES}
     channels = {name: channel for name, channel in channels.items() if name not in VISCOSITIES}
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
@@ -308,7 +308,7 @@ JOINT_RULES: dict[str, Callable[[Together, Cleaning], Mask | None]] = {
 
 
 class OnGrid(NamedTuple):
-    """A channel on the time base: values, where it has one, and where it is silent; (n,) each."""
+    """A channel on the time base: values, where it has any, and where it is silent; (n,) each."""
 
     value: Values
     present: Mask
@@ -362,7 +362,7 @@ def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGr
 def _fill_even(
     value: Values, channel: CleanChannel, known: Values, grid_start_us: int, period_us: int
 ) -> None:
-    """Fill in stretches of samples in equal steps, of one period of the grid or several.
+    """Fill in stretches of samples in equal steps, of a period of the grid or several.
 
     The same values as by a search for each time of the grid, which takes several times as long.
     """

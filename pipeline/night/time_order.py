@@ -16,7 +16,7 @@ from pipeline.arrays import Mask, Times
 from pipeline.night.masks import NO_BORDERS, steps_where
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
-# log where one lies within this many periods.
+# log where any lies within this many periods.
 FREE_SHARE = 0.75
 NEAR_PERIODS = 5.0
 # A step further than this share of a period from a whole number of periods is jitter.
@@ -100,7 +100,7 @@ class Steps:
         return self.uneven[long]
 
     def n_jittered(self, time_us: Times) -> int:
-        """Return how many samples come neither one nor several periods after the one before."""
+        """Return how many samples come neither one nor several periods after that before."""
         if not self.period_us:
             return 0
         steps = time_us[self.uneven + 1] - time_us[self.uneven]
@@ -110,7 +110,7 @@ class Steps:
 
 
 class SharedStamps:
-    """Order and steps of the stamps that the channels of one table have in common.
+    """Order and steps of the stamps that the channels of a table have in common.
 
     Only the last ones are held: channels with stamps of their own would hold all of a day's.
     """
@@ -181,7 +181,7 @@ def written_late(
 
     Those are put back whose place among the others is free: rows that a logger flushed late, and
     files whose names do not sort as their times do. A clock that was set back runs over times that
-    are taken, and a row of samples of which one does so is no late one; a lone wrong stamp lies
+    are taken, and a row of samples of which any does so is not late; a lone wrong stamp lies
     near nothing. Neither is restored. `in_order` are the stamps of all samples but the backward.
     """
     rows = np.flatnonzero(backward)

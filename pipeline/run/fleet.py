@@ -1,4 +1,4 @@
-"""The nightly run: one motor a task over worker processes, then the tables, night by night.
+"""The nightly run: a motor a task over worker processes, then the tables, night by night.
 
 Tasks share nothing and return small outcomes as they finish. What was finished is kept where a
 worker dies; the tasks that were under way are tried once more, each alone.
@@ -154,7 +154,7 @@ def staging_folder(output: Path) -> Iterator[Path]:
     """
     root = output / "staging"
     shutil.rmtree(root, ignore_errors=True)
-    # A name of its own: a worker of a killed run may still write into the folder of that one.
+    # A name of its own: a worker of a killed run may still write into that run's folder.
     folder = root / secrets.token_hex(8)
     try:
         with store_errors(root):
@@ -230,7 +230,7 @@ class _Run:
                 self.trends = make_trends(fleet, clock, self.publisher, self.workers, changed)
 
     def publish_tables(self) -> None:
-        """Publish the trends, nights without any, and the tables that are one file."""
+        """Publish the trends, nights without any, and the tables of a single file."""
         with self._step("trends", "trends_s"):
             self.alarms = tuple(publish_trends(self.publisher, self.trends))
             if not self.is_stopped:
@@ -266,7 +266,7 @@ class _Run:
 
 
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
-    """Return a motor's outcome; one whose trends failed has failed."""
+    """Return a motor's outcome; a motor whose trends failed has failed."""
     if loss is None or outcome.status == FAILED:
         return outcome
     how = f"trends: {legible(loss.how)}"
@@ -358,7 +358,7 @@ def unchanged_motors(
 
 
 def _stat_logs(spec: MotorSpec) -> Mapping[str, FileRecord]:
-    """Return the logs of a motor as they are, unopened; none where one is absent."""
+    """Return the logs of a motor as they are, unopened; none where any is absent."""
     try:
         paths, absent = find_logs(spec)
     except OSError:

@@ -1,4 +1,4 @@
-"""One motor's task: what is new in its logs, which nights that touches, and the fit of each.
+"""A motor's task: what is new in its logs, which nights that touches, and the fit of each.
 
 The task reads the logs and its own record of processed logs, writes only into its own staging
 files, and returns a small outcome. Whatever goes wrong with a log or a night is a row, not an
@@ -146,7 +146,7 @@ class MotorRun(NightPlan):
         return replace(self.outcome(), n_refitted=n_refitted, findings=self.findings)
 
     def _take_back(self, label: dt.date) -> None:
-        """Leave a night to the next run, as if it had not been done in this one."""
+        """Leave a night to the next run, as if it had not been done in this run."""
         del self.done[label]
         if label in self.nights_before:
             self.records[label] = self.nights_before[label]

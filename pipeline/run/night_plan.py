@@ -53,7 +53,7 @@ ROLLER_NIGHTS, MOST = 15, 0.8
 
 
 def peak_memory_mib() -> float:
-    # `ru_maxrss` begins with the peak of the process that started this one; Linux knows better.
+    # `ru_maxrss` begins with the peak of the process that started this; Linux knows better.
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text("ascii").splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / 1024

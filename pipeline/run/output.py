@@ -1,7 +1,7 @@
 """An output as a run finds it: whose it is, motors under other names than before, and damage.
 
 A damaged file is renamed. The nights of a file that is gone are forgotten, so that they are made
-anew from logs or stored blocks. Wherever a run is broken off, the next one does the same again.
+anew from logs or stored blocks. Wherever a run is broken off, the next does the same again.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _rename_rows(state: StateDatabase, staging: Path, old: str, new: str) -> Non
 
 
 def _renamed(table: Table, old: str, new: str, rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows of a file under the new name; of a night under both names those under the old one."""
+    """Rows of a file under the new name; of a night under both names those under the old."""
     is_old = pl.col("motor_id") == old
     moved = rows.filter(is_old).with_columns(motor_id=pl.lit(new))
     if "id" in rows.columns:  # begins with the motor's name
@@ -129,7 +129,7 @@ def _rename_state(state: StateDatabase, old: str, new: str) -> None:
 
 
 def find_damage(state: StateDatabase, *, every_file: bool = False) -> tuple[TableFault, ...]:
-    """Name files that are gone or damaged, and rename these; prove others, or every one.
+    """Name files that are gone or damaged, and rename these; prove others, or all.
 
     Raises StoreError if the state cannot be read or written, or a file is not to be renamed.
     """
@@ -143,7 +143,7 @@ def find_damage(state: StateDatabase, *, every_file: bool = False) -> tuple[Tabl
         if file.fault.code == "table_altered":
             set_aside(state, file.name)
     with state.transaction():
-        # An intraday check may have published one meanwhile.
+        # An intraday check may have published meanwhile.
         note(
             state,
             {
@@ -200,5 +200,5 @@ def damage_left(faults: Sequence[TableFault], fitted: Nights, made: Nights) -> I
 
 
 def _nights_of(name: str) -> list[dt.date]:
-    """Return nights of a file with rows of motors; none of another one."""
+    """Return nights of a file with rows of motors; none of another file."""
     return days_of(PurePosixPath(name).stem) if name.split("/")[0] in OF_MOTORS else []

@@ -61,7 +61,7 @@ from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
 
-# First night with new rows by motor; None without one.
+# First night with new rows by motor; None without any.
 Changed = Mapping[str, dt.date | None]
 
 # Seconds of a motor's task by stage, and of a run, as `runs` names them.

@@ -38,7 +38,7 @@ FirstLook = Callable[
 """What is said of columns and units of the newest night of a motor's first run.
 
 It gets motor, night, the logs that can be read in order of time with the last night of each, how to
-find one, and the night's raw channels.
+find a log, and the night's raw channels.
 """
 
 
@@ -161,7 +161,7 @@ class MotorOutcome:
     motor_id: str
     # failed if a night failed; else ok if a night was fitted; else what came of its nights.
     status: str
-    # error_code, message: the first failure; without one, why there is no fit at all, and no code.
+    # error_code, message: the first failure; without any, why there is no fit at all, and no code.
     error_code: str | None = None
     message: str | None = None
     counts: Mapping[str, int] = field(default_factory=dict)  # nights by outcome
@@ -176,7 +176,7 @@ class MotorOutcome:
     left_out: tuple[str, ...] = ()  # what is said of files of which rows were left out
     # Of a motor's first run: what may be wrong with its units and columns.
     findings: tuple[str, ...] = ()
-    # Nights and logs that failed, in this run or in one before, and are as they were.
+    # Nights and logs that failed, in this run or before, and are as they were.
     n_standing: int = 0
     n_refitted: int = 0  # nights that were fitted anew from their stored statistics, without a log
     seconds: Mapping[str, float] = field(default_factory=dict)  # time by stage
@@ -186,7 +186,7 @@ class MotorOutcome:
 
     @property
     def changed_from(self) -> dt.date | None:
-        """First night of which something else is published than before; None without one."""
+        """First night of which something else is published than before; None without any."""
         return min((*self.nights, *self.stays), default=None)
 
     @property
@@ -212,7 +212,7 @@ class RunResult:
     """Result of a run."""
 
     run_id: str  # hash of the inputs' contents, the code's version and the config
-    outcomes: tuple[MotorOutcome, ...]  # one a motor, sorted by id
+    outcomes: tuple[MotorOutcome, ...]  # by motor, sorted by id
     n_nights: int  # nights of motors that were written
     # Whether the run was stopped before all motors were done; what was finished is published.
     interrupted: bool
@@ -235,7 +235,7 @@ class RunResult:
 
     @property
     def n_standing(self) -> int:
-        """Failures of nights and logs that stand, of this run or of one before."""
+        """Failures of nights and logs that stand, of this run or of runs before."""
         return sum(outcome.n_standing for outcome in self.outcomes)
 
     @property

@@ -115,7 +115,7 @@ def check_motor(
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
-    Where the newest night would not be fitted, the first and the middle one are fitted, too; with
+    Where the newest night would not be fitted, the first and the middle are fitted, too; with
     `is_full` all are, but for those that stay as published. `decisions` are the motor's.
 
     Raises StoreError if an object store cannot be read.
@@ -250,7 +250,7 @@ def _every_look(
 
 
 def _small_nights(logs: MotorLogs, labels: Iterable[dt.date]) -> list[dt.date]:
-    """Return the newest, first and middle one of the nights that are small."""
+    """Return the newest, first and middle of the nights that are small."""
     small = _readable(logs, labels)
     return list(dict.fromkeys(small[at] for at in (-1, 0, len(small) // 2) if small))
 
@@ -262,7 +262,7 @@ def _readable(logs: MotorLogs, labels: Iterable[dt.date]) -> list[dt.date]:
 
 
 def _few_looks(spec: MotorSpec, logs: MotorLogs, labels: Sequence[dt.date]) -> Iterator[_NightLook]:
-    """Look into nights until one of them is fitted."""
+    """Look into nights until any of them is fitted."""
     for label in labels:
         look = _look_at_night(spec, logs, label)
         yield look

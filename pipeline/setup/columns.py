@@ -1,4 +1,4 @@
-"""Columns and units that look wrong: by the log's header, by magnitude, or since one log on.
+"""Columns and units that look wrong: by the log's header, by magnitude, or since a log on.
 
 Of changes the first and the last log are compared; where they differ, the change is looked for by
 halves, so that a few of many logs are opened. Of a header nothing but {} is known where its log
@@ -169,7 +169,7 @@ def unused_qualities(path: Path, header: Header, file: MotorFile) -> Iterator[st
             )
 
 
-# Changes from one log on
+# Changes from a log on
 
 
 def column_changes(spec: MotorSpec, dated: Dated, header: Callable[[str], Header]) -> Iterator[str]:
@@ -199,7 +199,7 @@ def column_changes(spec: MotorSpec, dated: Dated, header: Callable[[str], Header
 
 
 def _alone(these: Iterable[str], others: Collection[str]) -> str:
-    """Return the first columns of one log that the other does not have."""
+    """Return the first columns of a log that the other does not have."""
     return ", ".join([repr(column) for column in these if column not in others][:_SHOWN]) or "none"
 
 

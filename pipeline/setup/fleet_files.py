@@ -168,7 +168,7 @@ def write_fleet(files: Mapping[str, str], folder: Path, types: Path, *motor_type
     """Write a fleet's files, the motor types and the oils that ship beside them.
 
     Of a fleet that is there, only the files of its new motors are. Raises UsageError
-    (``file_exists``) if one of them is there; nothing is written then.
+    (``file_exists``) if any of them is there; nothing is written then.
     """
     copies = [f"motor_types/{name}.toml" for name in dict.fromkeys(motor_types)]
     copies += [f"oils/{path.name}" for path in sorted((types / "oils").glob("*.toml"))]
@@ -231,7 +231,7 @@ def _toml(document: Document) -> str:
 
 
 def _value(value: object) -> str:
-    # Text of JSON is text of TOML, but for one character.
+    # Text of JSON is text of TOML, but for a single character.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

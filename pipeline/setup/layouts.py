@@ -1,7 +1,7 @@
 """Which files are one motor's: those whose names or folders differ by a date, a count or a part.
 
 What surely differs from log to log is in `DATES`. A count may number logs or motors: files that
-differ by one alone are one motor's where they have the same columns and follow one another in time
+differ by one alone are one motor's where they have the same columns and follow each other in time
 under a name for logs; under any other name it is asked.
 """
 
@@ -23,7 +23,7 @@ _YEAR, _MONTH, _DAY = r"(?:19|20)\d\d", r"(?:1[0-2]|0?[1-9])", r"(?:3[01]|[12]\d
 _MONTH_NAME = r"(?:jan|feb|m[aä]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[a-zä]{0,6}"
 _WEEKDAY = r"(?:[-_ ]?(?:mo|tu|we|th|fr|sa|su|di|mi|do|so|\d)[a-z]*)?"
 _TIME = r"(?:[-_T. ]{0,3}\d\d[-_.:h]?\d\d(?:[-_.:m]?\d\d(?:[.,]\d+)?)?Z?)?"
-# What differs from log to log of one motor, by how it is written.
+# What differs from log to log of a motor, by how it is written.
 DATES = {
     "2026-01-02, 20260102, 2026-1-2 0630": rf"{_YEAR}[-_. ]?{_MONTH}[-_. ]?{_DAY}{_TIME}",
     "02.01.2026, 1-2-2026": rf"{_DAY}[-_. ]{_DAY}[-_. ]{_YEAR}{_TIME}",
@@ -53,7 +53,7 @@ Ask = Callable[[str, str, Sequence[str]], str | None]
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Files of one motor, or of several whose rows or columns are in each of them."""
+    """Files of a motor, or of several whose rows or columns are in each of them."""
 
     patterns: tuple[str, ...]
     files: tuple[Path, ...]
@@ -69,7 +69,7 @@ def kinds_of(
 ) -> list[Kind]:
     """Return the files by motor, or log of several motors, in the order of their names.
 
-    Columns and ends distinguish logs of one motor from those of several, where they are known.
+    Columns and ends distinguish logs of a motor from those of several, where they are known.
     """
     alike: dict[Parts, list[Path]] = {}
     for path in files:

@@ -72,7 +72,7 @@ def _spelled(word: str) -> Iterator[str]:
 
 
 def is_in(words: Iterable[str], table: str, key: str) -> bool:
-    """True if any word is one of the vocabulary's."""
+    """True if any word is of the vocabulary."""
     return any(map(_known(table, key).fullmatch, words))
 
 
@@ -207,7 +207,7 @@ def missing_channels(channels: Collection[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Names of one motor; `name` is what they share, and `signals` the rest of each."""
+    """Names of a motor; `name` is what they share, and `signals` the rest of each."""
 
     name: str
     signals: dict[str, str]  # by whole name

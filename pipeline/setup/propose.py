@@ -37,7 +37,7 @@ from pipeline.setup.signals import cells_of, columns_without_use, motors_of_rows
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import Column, Question, Table, is_number
 
-LARGEST_LOG_BYTES = 200 << 20  # of one that is read to look into it
+LARGEST_LOG_BYTES = 200 << 20  # of a log that is read to look into it
 _SHOWN, _NAMES_COMPARED = 12, 12
 
 
@@ -48,7 +48,7 @@ class ProposedMotor:
     name: str  # in the log; empty where nothing there names it
     motor_id: str
     logs: Mapping[str, Any]  # keys of ``[logs]``; what is asked is there as assumed
-    channels: Mapping[str, Column]  # in the config's units; without one where it is asked
+    channels: Mapping[str, Column]  # in the config's units; without those that are asked
     files: tuple[Path, ...]
 
 
@@ -121,7 +121,7 @@ class _Sniffed:
         return self._tables[path]
 
     def columns(self, path: Path) -> object:
-        """Return what logs of one motor have in common; None where a log cannot be read."""
+        """Return what logs of a motor have in common; None where a log cannot be read."""
         table = self.table(path)
         if isinstance(table, LogError):
             return None
@@ -207,7 +207,7 @@ def _span(path: Path, table: Table) -> tuple[int, int] | None:
         return None
     with suppress(LogError, ValueError):
         logs = Logs.model_validate({**table.logs, "files": (path.name,)})
-        # Of a message's own time, one topic will do.
+        # Of a message's own time, a single topic will do.
         keys = {"unit": "rpm", **table.columns[0].keys} if logs.format == "mcap" else {}
         channels: Any = {"speed": Channel.model_validate(keys)} if keys else {}
         return time_span(path, logs, channels)
@@ -218,7 +218,7 @@ def _span(path: Path, table: Table) -> tuple[int, int] | None:
 
 
 def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
-    """The motors of logs that are alike; none where their columns are not enough for one."""
+    """The motors of logs that are alike; none where their columns are not enough for any."""
     signals = signals_of(table)
     tag = signals.logs.get("channel_column")
     several = {

@@ -23,7 +23,7 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 # What may be answered before it is asked, and what is not asked any more with another answer.
 _ALWAYS = {"time_zone", "time_format", "decimal", "motor_type", "oil"}
 _KINDS = ("unit of ", "good codes of ", "motors of ", "time_format of ", "decimal of ")
-# Readings of one unit are alike within this factor.
+# Readings of the same unit are alike within this factor.
 _ALIKE = 5.0
 
 
@@ -52,7 +52,7 @@ class Asked:
     def ask(
         self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
     ) -> str | None:
-        """The answer to a question; None, and the question is open, without one.
+        """The answer to a question; None, and the question is open, without any.
 
         The answer has to be `known`, by default one of the choices, where there are any.
         """
@@ -71,7 +71,7 @@ class Asked:
     def keys_of(self, table: Table) -> dict[str, Any]:
         """Keys of ``[logs]`` with the answers to what the log does not tell.
 
-        Logs that read alike have one answer.
+        Logs that read alike share an answer.
         """
         logs = dict(table.logs)
         for question in table.questions:
@@ -126,7 +126,7 @@ _DIFFERENCE = "pressure_difference"
 
 @dataclass(frozen=True, slots=True)
 class Chooser:
-    """The columns of one motor's group."""
+    """The columns of a motor's group."""
 
     group: Group
     columns: Mapping[str, Column]
@@ -194,7 +194,7 @@ class Chooser:
             rivals.pop(_DIFFERENCE, None)  # it is theirs
             bare = []
             if len(high) == len(low) == 1 and self._size(*high) < self._size(*low):
-                bare = [*high, *low]  # the low port's is the higher one
+                bare = [*high, *low]  # the low port's is the higher
         if (bare and high and low) or _DIFFERENCE in rivals:
             for port in PORT_PRESSURES:
                 rivals.pop(port, None)

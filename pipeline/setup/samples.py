@@ -64,7 +64,7 @@ RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature":
 
 @dataclass(frozen=True, slots=True)
 class ChannelCheck:
-    """A channel in one log."""
+    """A channel in a log."""
 
     channel: str
     unit: str  # as configured

@@ -194,7 +194,7 @@ def _words_known(head: bytes, encoding: str) -> int:
 
 
 def _text_lines(path: Path, encoding: str, most_bytes: int) -> Iterator[str]:
-    """Lines of the first bytes of a text, but for one that is cut."""
+    """Lines of the first bytes of a text, but for a line that is cut."""
     done = 0
     for data in read_lines(path, encoding, min(most_bytes, 2**20)):
         if data.endswith((b"\n", b"\r")):

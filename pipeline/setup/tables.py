@@ -80,7 +80,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a log does not say; `key` names it in an answer. Without choices any text is one."""
+    """What a log does not say; `key` names it in an answer. Without choices any text will do."""
 
     key: str
     text: str

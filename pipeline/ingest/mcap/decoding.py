@@ -1,4 +1,4 @@
-"""Payloads of messages, and the readings that are found in them, one message at a time.
+"""Payloads of messages, and the readings that are in them, a message at a time.
 
 What is faster for many messages at once is each encoding's own; this is what all fall back to.
 """
@@ -55,11 +55,11 @@ class Payloads:
 
     @property
     def first(self) -> bytes:
-        """The first payload; there is one at least."""
+        """The first payload; there is at least one."""
         return self.text[1:][: self.length[0]].tobytes()
 
     def each(self) -> Iterator[bytes]:
-        """One payload after the other."""
+        """The payloads in turn."""
         text = self.text.data
         for start, length in zip(self.start.tolist(), self.length.tolist(), strict=True):
             yield bytes(text[start : start + length])
@@ -85,7 +85,7 @@ class Decoded:
 
 
 class Decoder(NamedTuple):
-    """How messages of one encoding and schema are read."""
+    """How messages of an encoding and schema are read."""
 
     decode: Callable[[Payloads], Decoded]
     tree: Callable[[bytes], Any]  # a message as dicts, lists and values; None for what is none
@@ -114,7 +114,7 @@ def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
-    """Payloads one after the other."""
+    """Payloads in turn."""
     arrays = zip(*((part.text, part.length, part.time_ns) for part in parts), strict=True)
     return Payloads(*map(np.concatenate, arrays))
 
@@ -192,11 +192,11 @@ def _stamp_text(value: object, is_counted: bool) -> str | None:
 
 
 Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
-"""Numbers, and where there is one."""
+"""Numbers, and where there are any."""
 
 
 def _int64(values: Sequence[Any]) -> Numbers:
-    """Whole numbers, 0 where there is none, and where there is one."""
+    """Whole numbers, 0 where there is none, and where there are any."""
     there = [type(value) is int and _INT64.min <= value <= _INT64.max for value in values]
     whole = [value if ok else 0 for value, ok in zip(values, there, strict=True)]
     return np.array(whole, np.int64), np.array(there, np.bool_)

@@ -1,7 +1,7 @@
 """JSON messages: many payloads are laid out as lines and parsed at once.
 
-Of messages that differ in one number alone, only the number is parsed. Where a piece does not come
-out as one object a line, with a value of one type in each wanted field, it is parsed message by
+Of messages that differ in a single number, only the number is parsed. Where a piece does not come
+out as an object a line, with a value of one type in each wanted field, it is parsed message by
 message, so that what is no number is found and counted. Each way gives what the `json` module
 gives, but for the sign of an integer -0 and for integers of over 4300 digits.
 """
@@ -81,7 +81,7 @@ def json_decoder(wanted: Wanted) -> Decoder:
 
 
 def _at_once(payloads: Payloads, wanted: Wanted) -> Decoded | None:
-    """Readings; None unless every line is one object and every wanted value of its type or null."""
+    """Readings; None unless every line is an object and every wanted value of its type or null."""
     first = json_object(payloads.first) if wanted.stamp or wanted.qualities else None
     stamp_types = _stamp_types(first, wanted)
     # A stamp may be a reading too, but not where it is text.
@@ -124,7 +124,7 @@ def _type_of(value: object) -> pa.DataType | None:
 
 def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Table | None:
     schema = _schema(types)
-    # The parser takes objects, not lines: without this, an object begun in one message and ended in
+    # The parser takes objects, not lines: without this, an object begun in a message and ended in
     # the next would go through.
     if schema is None or not payloads.length.all():
         return None
@@ -147,7 +147,7 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
 
 
 def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:
-    """Arrow's schema of the wanted fields; None where one is in an array, or part of another."""
+    """Arrow's schema of the wanted fields; None where any is in an array, or part of another."""
     tree: _Tree = {}
     for path, kind in types.items():
         node = tree
@@ -177,7 +177,7 @@ def _column(table: pa.Table, path: FieldPath) -> pa.Array:
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
     if pa.types.is_string(parts[0].type):
         return written([pa.chunked_array(parts)], time_format)
-    # Nothing is before 1990, so that a missing one is not readable.
+    # Nothing is before 1990, so that a missing stamp is not readable.
     numbers = [(pc.fill_null(part, 0).to_numpy(), ~nulls(part)) for part in parts]
     return stamps_of_numbers(numbers, time_format)
 
@@ -191,7 +191,7 @@ def json_object(payload: bytes) -> dict[str, Any] | None:
     return message if isinstance(message, dict) else None
 
 
-# Messages that differ in one number alone: nothing else of them is parsed twice.
+# Messages that differ in a single number: nothing else of them is parsed twice.
 
 
 def _one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray[np.float64] | None:
@@ -241,7 +241,7 @@ def _stand(text: memoryview, at: int, expected: bytes, size: int) -> bool:
 
 
 def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | None:
-    """Numbers in cells of one width, the first byte of each aside; None where some is none of JSON.
+    """Numbers in cells of a width, the first byte of each aside; None where some is none of JSON.
 
     Arrow's cast refuses what is no number. JSON has no plus here, no point without a digit on
     either side, and no zero before the digits of a number; exponents are left to the parser.

@@ -120,14 +120,14 @@ def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
 
 
 def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
-    """Numbers of one type at any positions, aligned or not."""
+    """Numbers of a type at any positions, aligned or not."""
     kind = np.dtype(dtype)
     if not at.size:
         return np.empty(0, kind)
     everywhere: NDArray[Any] = np.ndarray(
         (len(buffer) - kind.itemsize + 1,), kind, buffer, strides=(1,)
     )
-    # Messages of one length lie in equal steps.
+    # Messages of the same length lie in equal steps.
     step = int(at[1] - at[0]) if at.size > 1 else 1
     if step > 0 and (np.diff(at) == step).all():
         return everywhere[at[0] : at[-1] + 1 : step].copy()
@@ -135,7 +135,7 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
 
 
 def column(buffer: memoryview, at: int, dtype: str, size: int) -> NDArray[Any]:
-    """Numbers of one type at a place in each of the rows of `size` bytes that fill a buffer."""
+    """Numbers of a type at a place in each of the rows of `size` bytes that fill a buffer."""
     rows = (len(buffer) // size,)
     return np.ndarray(rows, dtype, buffer, at, strides=(size,)).copy()
 

@@ -129,7 +129,7 @@ def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wa
 
 
 class _Topic:
-    """What is wanted of the messages of one topic, gathered in the order of the file."""
+    """What is wanted of the messages of a topic, gathered in the order of the file."""
 
     def __init__(self, file: LogFile, name: str) -> None:
         self.path, self.name = file.path, name

@@ -57,7 +57,7 @@ _ANYWHERE = "data section"
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages that lie in one buffer, in the order of the file."""
+    """Messages that lie in the same buffer, in the order of the file."""
 
     buffer: memoryview  # records, of which these messages are some
     channels: Mapping[int, Channel]  # declared so far, by id
@@ -80,7 +80,7 @@ class Messages:
         return np.asarray(self.start[chosen] + _MESSAGE_HEAD)
 
     def payload(self, i: int) -> bytes:
-        """One of the payloads."""
+        """The payload at a place."""
         return bytes(self.buffer[self.start[i] + _MESSAGE_HEAD : self.payload_end[i]])
 
     def times(self, name: str) -> NDArray[np.uint64]:
@@ -134,7 +134,7 @@ def _has_place(error: LogError) -> bool:
 
 
 def summary_of(path: Path, *, salvage: bool = False) -> tuple[Summary, LogError | None]:
-    """The summary; with `salvage`, an empty one where it cannot be read, and why.
+    """The summary; with `salvage`, an empty summary where it cannot be read, and why.
 
     Raises LogError: As `read_messages`.
     """
@@ -206,7 +206,7 @@ def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None
 
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
-    """Stretches of whole records, some megabytes or one record long, and where records begin."""
+    """Stretches of whole records, some megabytes or a record long, and where records begin."""
     place, size = len(MAGIC), _BLOCK
     while place < end:
         file.seek(place)

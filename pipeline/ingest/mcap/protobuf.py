@@ -131,7 +131,7 @@ def _then(first: Value, second: Value) -> Value:
 
 
 def _element(step: str | int) -> Value:
-    """Function of a repeated field that gives one of its values."""
+    """Function of a repeated field that gives a value of it."""
     if isinstance(step, int):
         return lambda values: values[step] if step < len(values) else None
     raise LookupError(step)

@@ -2,7 +2,7 @@
 
 The format's own package reads definitions. Where numbers stand in a message depends on the lengths
 of its texts and sequences alone: of messages that are alike in these, the wanted numbers are taken
-from all at once. Where too many are not alike, or one is cut, each is read by itself, which takes
+from all at once. Where too many are not alike, or any is cut, each is read by itself, which takes
 some thirty times as long. No ``wstring`` is read, and no types of ROS 1.
 """
 
@@ -189,7 +189,7 @@ class _Layout:
         self.lengths: list[int] = []  # places where a message states those of its sequences
 
     def places(self, payload: bytes, length: int | None = None) -> Any:
-        """Return a message as dicts, lists and places; None for one that is cut, or no plain CDR.
+        """Return a message as dicts, lists and places; None if it is cut, or no plain CDR.
 
         With `length`, all its texts and sequences are so long, whatever it says.
         """

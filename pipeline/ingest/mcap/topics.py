@@ -34,7 +34,7 @@ class Topic:
     schema: str
     count: int | None = None  # messages; None where the file does not say it
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
-    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message with one
+    texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message with any
     payloads: list[bytes] = field(default_factory=list)
     # Units that the channel's metadata or the schema state, by field; () is of every field.
     units: Mapping[FieldPath, str] = field(default_factory=dict)
