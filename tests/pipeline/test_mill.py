@@ -1,4 +1,4 @@
-"""A plant's first day: from a folder of logs of other physics to what is told of each motor.
+"""A plant's first day: from a folder of logs of other physics to what is reported of each motor.
 
 The plant is a sugar mill of other physics than the model that is fitted. Three slow drives write
 one CSV file a day each, as a German control system does. The drain flow has a laminar part, a part

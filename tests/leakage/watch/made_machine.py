@@ -172,6 +172,6 @@ def earlier_of(nights: Sequence[NightBlocks]) -> Callable[[int], Sequence[NightB
     return lambda day: [night for night in nights if night.day >= day]
 
 
-def first_told(watches: Sequence[Watch]) -> Watch | None:
+def first_detected(watches: Sequence[Watch]) -> Watch | None:
     """The watch on the night on which a change is first in force."""
     return next((watch for watch in watches if watch.state.in_force is not None), None)

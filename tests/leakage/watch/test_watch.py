@@ -24,7 +24,7 @@ from tests.leakage.watch.made_machine import (
     Plant,
     drives,
     earlier_of,
-    first_told,
+    first_detected,
     grown,
     of_flow,
     watched,
@@ -160,18 +160,18 @@ def story(name: str, seed: int) -> tuple[Watch, ...]:
 @pytest.mark.parametrize("name", STORIES)
 def test_what_happens_is_detected_named_dated_and_sized(name: str, seed: int) -> None:
     """Neither before it happens nor late; and no night contradicts its own interval (7c.2)."""
-    told, watches = STORIES[name], story(name, seed)
-    first, last = first_told(watches), watches[-1].verdict()
-    assert (first is None) == (told.by is None)
+    truth, watches = STORIES[name], story(name, seed)
+    first, last = first_detected(watches), watches[-1].verdict()
+    assert (first is None) == (truth.by is None)
     if first is not None:
-        assert BEGIN <= first.day <= told.by
-    assert last.present.value == pytest.approx(told.present, abs=told.within)
-    assert (None if last.change is None else last.change.cause) in told.causes
+        assert BEGIN <= first.day <= truth.by
+    assert last.present.value == pytest.approx(truth.present, abs=truth.within)
+    assert (None if last.change is None else last.change.cause) in truth.causes
     if last.change is not None:
-        assert last.change.since == pytest.approx(told.since or last.change.since, abs=2)
-        assert last.change.is_rise == (told.present > 0.0)
+        assert last.change.since == pytest.approx(truth.since or last.change.since, abs=2)
+        assert last.change.is_rise == (truth.present > 0.0)
         candidates = [*last.change.candidates, None]
-        assert candidates[0] == (told.likeliest or candidates[0])
+        assert candidates[0] == (truth.likeliest or candidates[0])
     for verdict in (watch.verdict() for watch in watches):
         if verdict.change is None:
             assert verdict.evidence <= verdict.limit
@@ -181,7 +181,7 @@ def test_what_happens_is_detected_named_dated_and_sized(name: str, seed: int) ->
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_worn_sleeve_is_sized_as_its_own_path_and_another_oil_as_its_grade(seed: int) -> None:
-    first = first_told(story("sleeve", seed)).verdict().change
+    first = first_detected(story("sleeve", seed)).verdict().change
     last, oil = (story(name, seed)[-1].verdict().change for name in ("sleeve", "oil"))
     assert abs(first.size.value - 0.30 * SHARES[2]) < 3.0 * first.size.sd
     assert (last.shape, last.since, last.alike) == ("step", BEGIN, ())
@@ -192,16 +192,16 @@ def test_a_worn_sleeve_is_sized_as_its_own_path_and_another_oil_as_its_grade(see
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_ring_that_wears_goes_on_and_keeps_its_begin(seed: int) -> None:
-    told = first_told(story("ring", seed))
-    first, last = told.verdict().change, story("ring", seed)[-1].verdict().change
+    detected = first_detected(story("ring", seed))
+    first, last = detected.verdict().change, story("ring", seed)[-1].verdict().change
     assert (first.shape, first.continues, last.continues) == ("ramp", False, True)
     assert next(iter(first.candidates)) == "ring"
-    assert last.detected_on > told.day
+    assert last.detected_on > detected.day
     assert last.size.value == pytest.approx(0.03 * 50 * SHARES[0], abs=0.012)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_repair_is_told_once_and_at_rest_afterwards(seed: int) -> None:
+def test_a_repair_is_detected_once_and_at_rest_afterwards(seed: int) -> None:
     changes = [change for watch in story("repaired", seed) if (change := watch.verdict().change)]
     assert changes[0].cause == "sleeve"
     back = next(change for change in changes if change.cause == BACK)
@@ -222,10 +222,10 @@ def test_what_a_repair_leaves_is_no_change_while_it_could_not_be_detected(
 
 
 def test_odd_nights_again_and_again() -> None:
-    """Told by the third of them; by chance one of the seeds may take them for a step."""
+    """Detected by the third of them; by chance one of the seeds may take them for a step."""
     plant = Plant(growth=lambda night: 1.1 if night >= 25 and night % 3 == 0 else 1.0)
-    told = [first_told(watched(plant.nights(36, seed), first=FIRST)) for seed in range(1, 6)]
-    changes = [watch.verdict().change for watch in told if watch is not None]
+    watches = [first_detected(watched(plant.nights(36, seed), first=FIRST)) for seed in range(1, 6)]
+    changes = [watch.verdict().change for watch in watches if watch is not None]
     odd = [change for change in changes if change and change.cause == "odd_nights"]
     assert len(odd) >= 4
     assert {(c.shape, c.since, c.detected_on) for c in odd} == {("now and then", 27, 33)}
@@ -256,9 +256,9 @@ def test_at_usual_operating_conditions_a_level_has_no_error_of_the_models(seed: 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
-    told = first_told(story("quick", seed))
-    settled = story("quick", seed)[told.day + 9 - FIRST + 1].verdict().change
-    assert settled.detected_on == told.day
+    detected = first_detected(story("quick", seed))
+    settled = story("quick", seed)[detected.day + 9 - FIRST + 1].verdict().change
+    assert settled.detected_on == detected.day
     assert settled.size.value == pytest.approx(0.5, abs=0.12)
 
 
@@ -266,7 +266,7 @@ def test_what_grows_on_behind_its_detection_is_one_change(seed: int) -> None:
 def test_what_grows_ever_faster_does_not_begin_later_and_later(seed: int) -> None:
     plant = Plant(growth=lambda night: 1.0 + 0.001 * max(0, night - 29) ** 2)
     watches = watched(plant.nights(52, seed), first=FIRST)
-    first = first_told(watches).verdict().change
+    first = first_detected(watches).verdict().change
     changes = [watch.verdict().change for watch in watches]
     settling = [change for change in changes if change and change.detected_on == first.detected_on]
     assert len(settling) >= 10
@@ -343,9 +343,9 @@ def test_the_evidence_of_the_smallest_change_is_the_limit() -> None:
     assert healthy[0].verdict().smallest is None
     state = healthy[40 - FIRST].state
     evidence = state.evidence_now()
-    told = evidence.of_starts(np.array([len(state.window) - 10]))
+    of_start = evidence.of_starts(np.array([len(state.window) - 10]))
     names = [cause.name for cause in evidence.causes.every]
-    sd = (float(told.second[0, 0, names.index("all_flows")]) + 0.3**-2) ** -0.5
+    sd = (float(of_start.second[0, 0, names.index("all_flows")]) + 0.3**-2) ** -0.5
     freedom = state.wander.degrees_of_freedom(state.n_nights, np.array([10.0])).item()
     gain = (healthy[40 - FIRST].verdict().smallest / sd) ** 2
     ratio = 0.5 * (freedom + 1) * np.log1p(gain / freedom) + np.log(2 * sd / 0.3)
@@ -373,16 +373,16 @@ def test_leakage_at_conditions_follows_the_worn_path_and_leaves_a_flushing_out()
     for conditions in ([50.0, 200.0, 30.0], [46.0, 80.0, 60.0]):
         at = np.array(conditions)
         truth = float(drives(at) @ (COEFFICIENTS * [1.0, 1.0, 1.3, 1.0]))
-        told = watch.leakage_at(drives(at), at)
-        assert told.value == pytest.approx(truth, rel=0.02)
-        assert abs(told.value - truth) < 4.0 * told.sd
+        leakage = watch.leakage_at(drives(at), at)
+        assert leakage.value == pytest.approx(truth, rel=0.02)
+        assert abs(leakage.value - truth) < 4.0 * leakage.sd
         # What the model misses of the baseline, it may miss there: 0.3 of it, beside the rest.
         baseline = replace(watch.state.baseline, lack_of_fit=0.1)
         poor = Watch(replace(watch.state, baseline=baseline)).leakage_at(drives(at), at)
-        assert poor.sd == pytest.approx(np.hypot(told.sd, 0.03 * poor.value), rel=0.01)
+        assert poor.sd == pytest.approx(np.hypot(leakage.sd, 0.03 * poor.value), rel=0.01)
     truth = float(drives(AT_180_BAR) @ (COEFFICIENTS * [1.3, 1.3, 1.3, 1.0]))
-    told = story("flushed", 1)[-1].leakage_at(np.append(drives(AT_180_BAR), 0.0), AT_180_BAR)
-    assert told.value == pytest.approx(truth, rel=0.04)
+    leakage = story("flushed", 1)[-1].leakage_at(np.append(drives(AT_180_BAR), 0.0), AT_180_BAR)
+    assert leakage.value == pytest.approx(truth, rel=0.04)
 
 
 def test_no_doubt_about_a_flushing_takes_a_change_away() -> None:
@@ -397,10 +397,10 @@ def test_no_doubt_about_a_flushing_takes_a_change_away() -> None:
 
 def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     watch, adopted = (story("meter", 2)[night - FIRST] for night in (35, 45))
-    told = watch.change_since(BEGIN)
-    assert told.lower < 0.10 < told.upper
+    change = watch.change_since(BEGIN)
+    assert change.lower < 0.10 < change.upper
     assert watch.change_since(0) is watch.change_since(36) is None
-    # Adopted ten nights after it was detected, it is what has changed for others that are told
+    # Adopted ten nights after it was detected, it is what has changed for others that ask
     # later.
     assert adopted.state.in_force.attribution is None
     later, before = adopted.change_since(BEGIN), adopted.change_since(40)

@@ -101,9 +101,9 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert code == 1
     *motors, run = map(json.loads, out.splitlines())
     assert [motor["event"] for motor in motors] == ["motor", "motor"]
-    told = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
+    line = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
     files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
-    told |= {
+    line |= {
         "nights": {"ok": 3},
         "files": files,
         "growing": [],
@@ -111,7 +111,7 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
         "stays": {},
         "findings": [],
     }
-    assert motors[0] == told
+    assert motors[0] == line
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
     assert run["event"] == "run"

@@ -34,7 +34,7 @@ FIRST = dt.date(2026, 2, 17)
 
 @dataclass
 class Fake:
-    """A receiver that takes or refuses as it is told."""
+    """A receiver that takes or refuses on command."""
 
     name: str = "command"
     label: str = "alarms.command"
@@ -104,15 +104,15 @@ def deaf(**more: Any) -> Fake:
     [
         ("insufficient", "ok", False),  # a baseline is no news,
         ("ok", "insufficient", False),
-        ("alarm", "insufficient", True),  # unless it ends what was told
+        ("alarm", "insufficient", True),  # unless it ends what was sent
         ("stale", "insufficient", True),
     ],
 )
-def test_a_baseline_is_not_told(before: str, after: str, is_news: bool) -> None:
+def test_a_baseline_is_not_sent(before: str, after: str, is_news: bool) -> None:
     assert is_notified(row("M1", state=after, from_state=before)) is is_news
 
 
-def test_of_silent_rows_nobody_is_told_now_or_later(tmp_path: Path) -> None:
+def test_of_silent_rows_nothing_is_sent_now_or_later(tmp_path: Path) -> None:
     receiver = Fake()
     run(tmp_path, [row("M1"), row("M2", state="warning")], receiver)
     past = [row(f"P{n}") for n in range(3)]
@@ -134,7 +134,7 @@ def test_a_row_that_waits_is_sent_though_a_rule_words_it_anew(tmp_path: Path) ->
     assert [change["sentence"] for change in receiver.changes()] == ["other words"]
 
 
-def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(tmp_path: Path) -> None:
+def test_a_receiver_is_sent_what_comes_while_the_config_names_it(tmp_path: Path) -> None:
     first, second = Fake(), Fake("webhook")
     run(tmp_path, [row("M1")])
     assert backlogs(tmp_path, []) == ()
@@ -150,7 +150,7 @@ def test_a_receiver_is_told_of_what_comes_while_the_config_names_it(tmp_path: Pa
     assert again.motors() == ["M4"]
 
 
-def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
+def test_a_row_that_is_made_anew_is_not_sent_again(tmp_path: Path) -> None:
     receiver = Fake()
     run(tmp_path, [row("M1")], receiver)
     # Another run's row; figures of another kind of machine; the table lost and made anew.
@@ -162,7 +162,7 @@ def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("column", ALARM_CONTENT)
-def test_a_row_that_says_something_else_is_told_as_changed(tmp_path: Path, column: str) -> None:
+def test_a_row_that_says_something_else_is_sent_as_changed(tmp_path: Path, column: str) -> None:
     """And one that says again what it said before: that is no repeat."""
     receiver = Fake()
     run(tmp_path, [row("M1")], receiver)
@@ -227,7 +227,7 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
     assert [change["night"] for change in receiver.changes()] == ["2026-02-18", "2026-02-17"]
 
 
-def test_what_a_killed_run_published_is_told_and_a_damaged_table_waits(
+def test_what_a_killed_run_published_is_sent_and_a_damaged_table_waits(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     receiver, later = Fake(), FIRST + dt.timedelta(20)

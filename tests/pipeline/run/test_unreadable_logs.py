@@ -29,7 +29,7 @@ def test_nights_without_a_log_between_two_with_one(workshop: Workshop) -> None:
     assert dict(outcome.counts) == {"ok": 2, "no_new_data": 4}
     assert outcome.status == "ok"
     assert list(workshop.statuses().values()) == ["ok", *["no_new_data"] * 4, "ok"]
-    # A log that follows fills what lies between, too; what is told is not told again.
+    # A log that follows fills what lies between, too; what is reported is not reported again.
     workshop.log(NIGHT + 7 * DAY)
     assert workshop.run().nights == (NIGHT + 6 * DAY, NIGHT + 7 * DAY)
 
@@ -43,12 +43,12 @@ def test_a_lost_clock_does_not_make_decades_of_holes(workshop: Workshop) -> None
     assert workshop.run().nights == (NIGHT + DAY,)
 
 
-def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
+def test_patterns_that_match_no_file_are_reported(workshop: Workshop) -> None:
     workshop.configure(files='"M1/*.parquet", "M1/old/*.csv"')
     outcome = workshop.run()
     below = f"below {workshop.folder / 'logs'}"
-    told = f"no file matches M1/*.parquet {below}; no file matches M1/old/*.csv {below}"
-    assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, told)
+    message = f"no file matches M1/*.parquet {below}; no file matches M1/old/*.csv {below}"
+    assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, message)
     workshop.log(NIGHT)
     assert workshop.run().message is None
 
@@ -85,7 +85,7 @@ def make_endless_link(path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [make_pipe, make_folder, make_dangling_link, make_endless_link])
-def test_what_is_no_file_is_told_and_waited_for_by_nobody(
+def test_what_is_no_file_is_reported_and_waited_for_by_nobody(
     workshop: Workshop, make: Callable[[Path], None]
 ) -> None:
     workshop.configure(files=f'"M1/{NIGHT}.parquet", "M1/odd_{NIGHT + DAY}*"')
