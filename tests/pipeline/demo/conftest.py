@@ -12,8 +12,6 @@ from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan
 
 PLAN = Plan(nights=75, minutes=90.0, rate_hz=5.0, seed=1, first_night=dt.date(2026, 1, 2))
 MOTORS = {demo.motor_id: demo for demo in DEMO_FLEET}
-# CB1120-02 stays at one pressure.
-EXCITED = [motor_id for motor_id in MOTORS if motor_id != "CB1120-02"]
 
 
 @pytest.fixture(scope="module")
