@@ -63,7 +63,7 @@ def check(
     from pipeline.logs.finding import strays_text, unclaimed
     from pipeline.logs.processed import paired_as_published, read_stays
     from pipeline.report.status import standing
-    from pipeline.setup.check import check_motor
+    from pipeline.setup.check import check_motor, with_silent_nights
     from pipeline.store.state import read_state_file
     from pipeline.trends.decisions import read_decisions
     from pipeline.trends.tasks import decisions_of
@@ -81,7 +81,7 @@ def check(
             own = decisions[spec.motor_id]
             checks += (check_motor(spec, stays[spec.motor_id], own, is_full=full),)
             draw(len(checks), len(fleet.motors))
-    for motor in checks:
+    for motor in with_silent_nights(checks) if full else checks:
         if as_json:
             tell(asdict(motor), "", as_json=True)
         else:

@@ -45,6 +45,7 @@ from pipeline.schema.fits import (
     LAG_COLUMNS,
     NO_NEW_DATA,
     OK,
+    WITH_SAMPLES,
     agreed_lag,
 )
 from pipeline.setup.columns import (
@@ -169,6 +170,26 @@ def check_motor(
         forecast=forecast,
         notes=(*notes, *_cut(spec, records, source), *source.unmatched()),
     )
+
+
+def with_silent_nights(checks: Sequence[MotorCheck]) -> Iterator[MotorCheck]:
+    """Yield checks with the nights of which a run says that a motor is silent and others are not.
+
+    They are those up to the newest night of the fleet.
+    """
+    from pipeline.trends.checkpoint import blank_records
+    from pipeline.trends.nights import NO_LOG as SILENT
+    from pipeline.trends.nights import every_night
+
+    read = [look for check in checks for look in check.forecast if look.status in WITH_SAMPLES]
+    newest = max((dt.date.fromisoformat(look.night) for look in read), default=dt.date.min)
+    for check in checks:
+        looks = {dt.date.fromisoformat(look.night): look for look in check.forecast}
+        known = blank_records(sorted(looks))
+        known["known"] = True
+        for label in every_night(known, newest)["night"].tolist():
+            looks.setdefault(label, NightForecast(str(label), NO_NEW_DATA, SILENT))
+        yield replace(check, forecast=tuple(looks[label] for label in sorted(looks)))
 
 
 def _by_its_ends(name: str, source: FolderLogs, spec: MotorSpec) -> FileRecord:

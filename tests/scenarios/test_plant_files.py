@@ -426,7 +426,8 @@ def test_long_tables_of_influx(form: str, plant: Plant) -> None:
 def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
     """Of four nights one is short, one stands still, and one reads one temperature for ever.
 
-    Before the last there is a night without a log, behind it one whose log cannot be read.
+    Before the last there is a night without a log, behind it one whose log cannot be read. Then
+    another motor has logs, of a night too short to be fitted.
     """
     nights = {
         1: wide(1),
@@ -435,17 +436,21 @@ def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
         5: wide(5, edit=constant("oil_temperature", 48.0)),
     }
     files = {f"w_2026-01-0{night}.csv": text for night, text in nights.items()}
+    files["v_2026-01-08.csv"] = "".join(wide(8).splitlines(keepends=True)[:200])
     assert plant.init(files).code == 0
     (plant.folder / "logs" / "w_2026-01-06.csv").write_text(wide(6, form=MONTH_FIRST))
-    (motor,) = plant.check("--full")
+    checked = plant.check("--full")
     plant.fit()
-    fitted = plant.table().rows(named=True)
-    forecast = [(night["night"], night["status"], night["reason"]) for night in motor["forecast"]]
-    assert forecast == [
-        (str(night["night"]), night["status"], night["reason"] or "") for night in fitted
+    fitted = plant.table().sort("motor_id", "night").rows(named=True)
+    assert [
+        (motor["motor_id"], *night.values())[:4] for motor in checked for night in motor["forecast"]
+    ] == [
+        (night["motor_id"], str(night["night"]), night["status"], night["reason"] or "")
+        for night in fitted
     ]
-    assert [night["status"] for night in fitted] == [
-        *("ok", "insufficient_data", "stood_still", "no_new_data", "ok", "failed")
+    assert [night["status"] for night in fitted if night["motor_id"] == "w"] == [
+        *("ok", "insufficient_data", "stood_still", "no_new_data", "ok", "failed"),
+        *("no_new_data", "no_new_data"),
     ]
 
 
