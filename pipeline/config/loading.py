@@ -11,6 +11,7 @@ import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -64,21 +65,24 @@ def load_fleet(path: Path) -> Fleet:
     log_url = folders.logs if is_url(folders.logs) else ""
     specs: list[MotorSpec] = []
     alike: dict[str, Settings] = {}
-    possible: set[object] = set()
     for name, its in sorted(motors.documents.items()):
         file, motor = f"motors/{name}.toml", motors.parsed.get(name)
-        settings = _settings(shared, its.get("override"), motor, file, faults, alike)
+        own, low = its.get("override"), motor and not LOW_SIDE.isdisjoint(motor.channels)
+        # Motors of the same settings share them.
+        key = json.dumps((own, low), default=str)
+        settings = alike.get(key) or _settings(shared, own, file, faults, is_two_sided=bool(low))
         motor_type = types.parsed.get(motor.motor_type) if motor else None
         # Of a type or an oil with a fault no motor can be made.
         if motor and settings and motor_type and oils.parsed.keys() >= {*motor.oils}:
+            alike[key] = settings
             circuit = circuits.parsed.get(motor.oil_circuit, OilCircuitFile())
             spec = MotorSpec(
                 motor, motor_type, oils.parsed, settings, log_root, log_url,
                 circuit_samples=circuit.oil_samples,
             )  # fmt: skip
-            faults += [*_impossible(file, spec, possible), *_oil_faults(file, spec)]
+            faults += _oil_faults(file, spec)
             specs.append(spec)
-    faults += _claimed_twice(specs)
+    faults += [*_impossible(specs), *_claimed_twice(specs)]
     # A motor's file that cannot be read may be of any circuit.
     if all(motors.own.values()):
         known_circuits = {its.get("oil_circuit") for its in motors.documents.values()}
@@ -131,21 +135,9 @@ class _Override(Section):
 
 
 def _settings(
-    shared: Document,
-    override: Any,
-    motor: MotorFile | None,
-    file: str,
-    faults: list[Fault],
-    alike: dict[str, Settings],
+    shared: Document, override: Any, file: str, faults: list[Fault], *, is_two_sided: bool
 ) -> Settings | None:
-    """Return the fleet's settings with a motor's own; None where they have a fault.
-
-    Motors of the same settings share them: `alike`.
-    """
-    is_logged = motor is not None and not LOW_SIDE.isdisjoint(motor.channels)
-    key = json.dumps((override, is_logged), default=str)
-    if key in alike:
-        return alike[key]
+    """Return the fleet's settings with a motor's own; None where they have a fault."""
     merged = _merged(override if isinstance(override, dict) else {}, shared)
     checked = validated(_Override, {"override": merged}, file, faults)
     if checked is None:
@@ -153,10 +145,9 @@ def _settings(
     settings = checked.override
     model = settings.model
     if model.two_sided is None:
-        two_sided = is_logged or model.charge_pressure_bar > 0.0
+        two_sided = is_two_sided or model.charge_pressure_bar > 0.0
         model = model.model_copy(update={"two_sided": two_sided})
-    alike[key] = settings.model_copy(update={"model": model})
-    return alike[key]
+    return settings.model_copy(update={"model": model})
 
 
 # Faults that no file shows alone
@@ -200,22 +191,20 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
             yield fault_at(f"motors/{spec.motor_id}.toml", key, message, flow.source)
 
 
-def _impossible(file: str, spec: MotorSpec, possible: set[object]) -> Iterator[Fault]:
-    """Yield faults that only show when type, oil, flushing and settings come together.
-
-    What goes together is noted in `possible`, and not tried again for the next motor.
-    """
-    conditions = spec.settings.reference.conditions().operating
-    for name in spec.file.oils:
-        for mode in spec.file.flushing.modes:
-            together = spec.file.motor_type, name, mode, spec.file.flushing, id(spec.settings)
-            if together in possible:
-                continue
+def _impossible(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
+    """Yield faults that only show when type, oil, flushing and settings come together."""
+    possible: set[object] = set()  # what goes together is not tried again for the next motor
+    for spec in specs:
+        file, settings = spec.file, spec.settings
+        for name, mode in product(file.oils, file.flushing.modes):
+            together = file.motor_type, name, mode, file.flushing, id(settings)
             try:
-                leakage_l_per_min(spec.motor_with(spec.oils[name], mode), conditions)
+                if together not in possible:
+                    at = settings.reference.conditions().operating
+                    leakage_l_per_min(spec.motor_with(spec.oils[name], mode), at)
                 possible.add(together)
             except LeakageError as error:
-                yield Fault(file, "", f"with {name}: {error}")
+                yield Fault(f"motors/{spec.motor_id}.toml", "", f"with {name}: {error}")
 
 
 # Files

@@ -231,26 +231,16 @@ class Section(BaseModel):
         keys = {}
         for key, field in cls.model_fields.items():
             own = next((own for own in field.metadata if isinstance(own, Stage)), cls.shapes)
-            if own & stage or key in cls.tables():
+            if own & stage or _holds_tables(field.annotation):
                 keys[key] = bool(own & stage)
         return keys
-
-    @classmethod
-    @cache
-    def tables(cls) -> frozenset[str]:
-        """Return keys that may hold tables."""
-        fields = cls.model_fields.items()
-        return frozenset(key for key, field in fields if _holds_tables(field.annotation))
 
     def shaping(self, stage: Stage) -> dict[str, Any]:
         """Return all settings of a stage, by key; of tables, the keys that are of it."""
         values: dict[str, Any] = {}
-        tables = self.tables()
         for key, is_of_it in self.keys_of(stage).items():
             value = getattr(self, key)
-            if key not in tables:
-                values[key] = value
-            elif isinstance(value, Section):
+            if isinstance(value, Section):
                 part = value.shaping(stage)
                 values |= {key: part} if part else {}
             elif isinstance(value, tuple) and value and isinstance(value[0], Section):
