@@ -10,7 +10,7 @@ import numpy as np
 from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.causes import ODD_NIGHTS
-from leakage.watch.evidence import Evidence, Places, Window
+from leakage.watch.evidence import STEP, Evidence, Places, Window
 from leakage.watch.nights import NOW_AND_THEN, Change, Estimate
 from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, WatchState
 
@@ -25,11 +25,15 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: A
     """
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest].copy()
+    # Of starts at usual operating conditions the newest night may say more than of itself at others.
+    last = np.array([len(window) - 1])
+    newest = evidence.of_starts(last, by_operation=False).log_ratio[STEP, 0]
+    own = np.where(oddest == last, np.maximum(odd, _odd(np.logaddexp.reduce(newest))), odd)
     otherwise = evidence.operates_otherwise(starts)
     usual = np.flatnonzero(~otherwise & (starts < len(window) - 1))
     if len(usual) and not len(odd_places(window)):
         alone = by_start[usual] - _without(evidence, starts[usual], oddest[usual])
-        odd[usual] = np.minimum(odd[usual], _odd(alone))
+        odd[usual] = np.minimum(own[usual], _odd(alone))
     ages = len(window) - starts
     doubtful = otherwise & (by_start > choices.LEFT_OUT_FROM) & (ages <= choices.DENSE_STARTS)
     for place in np.flatnonzero(doubtful).tolist():

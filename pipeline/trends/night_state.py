@@ -19,6 +19,7 @@ from leakage.watch.causes import (
     NO_LEAKAGE,
     NOT_IDENTIFIED,
     ODD_NIGHTS,
+    OIL_GRADE,
     TANK,
     TEMPERATURE_EFFECT,
 )
@@ -169,15 +170,19 @@ def with_state(night: NightState) -> NightState:
 def _as_shown(change: Change, night: NightState) -> Change:
     """A change as people see it: causes that the nights cannot tell apart are one (model.md, 7c.4).
 
-    A motor that the model does not describe names no part.
+    A motor that the model does not describe names no part. Another oil is among what moves all
+    flows, where they are alike.
     """
     assert night.watch is not None
     assert night.verdict is not None
     machine, is_disproved = night.watch.state.machine, night.verdict.lack_of_fit > DOUBTFUL
     parts = parts_in(machine)
+    within = dict.fromkeys((*parts, KNOWN), A_PART) if is_disproved else {}
+    if ALL_FLOWS in change.alike:
+        within[OIL_GRADE] = ALL_FLOWS
 
     def shown(names: Iterable[str]) -> frozenset[str]:
-        return frozenset(A_PART if is_disproved and name in parts else name for name in names)
+        return frozenset(within.get(name, name) for name in names)
 
     alike, cause, probability = shown(change.alike), change.cause, change.probability
     is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1

@@ -11,10 +11,18 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.watch import Machine, NightBlocks, Watch, WatchSettings, choices, wander
-from leakage.watch.adoption import across_event, in_force_of, with_evidence, with_new_wander
+from leakage.watch.adoption import (
+    across_event,
+    in_force_of,
+    test_for_change,
+    with_evidence,
+    with_new_wander,
+)
 from leakage.watch.attribution import attribute
+from leakage.watch.evidence import Sums
 from leakage.watch.odd_nights import odd_nights_are_single
 from leakage.watch.state import nights_beyond
+from leakage.watch.watch import with_night
 from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
@@ -219,6 +227,19 @@ def test_what_a_repair_leaves_is_no_change_while_it_could_not_be_detected(
     causes = {None if change is None else change.cause for change in changes}
     assert (causes <= {None, BACK}) == is_back
     assert changes[0] is not None
+
+
+@pytest.mark.parametrize("apart", [(0.5, 2.4), (0.0, 3.9)])
+def test_an_odd_night_at_other_conditions_never_warns(apart: tuple[float, float]) -> None:
+    """7c.1: that its conditions are others, and those of the night before usual, adds nothing."""
+    plant = Plant(growth=grown("all_flows", 0.2, BEGIN), operating_point="one pressure")
+    nights = plant.nights(BEGIN + 1, 1)
+    state = with_night(watched(nights[:-1], first=FIRST)[-1].state, nights[-1])
+    distance = np.append(state.window.distance[:-2], apart)
+    window = replace(state.window, distance=distance)
+    sums = Sums.of(window, state.wander, state.causes.basis)
+    state = replace(state, window=window, sums=sums)
+    assert test_for_change(state).evidence < state.settings.limit
 
 
 def test_odd_nights_again_and_again() -> None:
