@@ -25,7 +25,7 @@ def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: A
     """
     oddest = np.array([start + int(window.odd[start:].argmax()) for start in starts])
     odd: Array = window.odd[oddest].copy()
-    # Of starts at usual operating conditions the newest night may say more than of itself at others.
+    # To starts at usual operating conditions the newest night may say more than it does by itself.
     last = np.array([len(window) - 1])
     newest = evidence.of_starts(last, by_operation=False).log_ratio[STEP, 0]
     own = np.where(oddest == last, np.maximum(odd, _odd(np.logaddexp.reduce(newest))), odd)

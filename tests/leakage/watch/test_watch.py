@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage.watch import Machine, NightBlocks, Watch, WatchSettings, choices, wander
+from leakage.watch import Machine, NightBlocks, Watch, WatchSettings, adoption, choices, wander
 from leakage.watch.adoption import (
     across_event,
     in_force_of,
-    test_for_change,
     with_evidence,
     with_new_wander,
 )
@@ -239,7 +238,7 @@ def test_an_odd_night_at_other_conditions_never_warns(apart: tuple[float, float]
     window = replace(state.window, distance=distance)
     sums = Sums.of(window, state.wander, state.causes.basis)
     state = replace(state, window=window, sums=sums)
-    assert test_for_change(state).evidence < state.settings.limit
+    assert adoption.test_for_change(state).evidence < state.settings.limit
 
 
 def test_odd_nights_again_and_again() -> None:
