@@ -21,7 +21,7 @@ STATES = {
     # It holds one pressure: its sleeve cannot be told from these.
     "CB1120-02": (
         "warning",
-        "all_flows or balance_piston or balance_sleeve or oil_grade or piston_ring or "
+        "all_flows or balance_piston or balance_sleeve or piston_ring or "
         "temperature_sensor or zero",
     ),
 }
