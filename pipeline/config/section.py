@@ -33,7 +33,6 @@ from pipeline.messages import counted
 # Stands in the place of a fault for a key itself.
 KEY_MARK = "[key]"
 LONGEST_QUOTE = 80
-_NEARLY = 0.75  # of two spellings
 # Keys whose values may hold a secret: nothing of them is quoted.
 UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret", "password", "connection"})
 
@@ -87,7 +86,7 @@ def _meant(key: str) -> str:
     for model in models:
         models += model.__subclasses__()
     known = {name for model in models for name in model.model_fields}
-    near = get_close_matches(key, known, 1, _NEARLY)
+    near = get_close_matches(key, known, 1)
     return f"check its spelling (did you mean {near[0]}?)" if near else "check its spelling"
 
 

@@ -30,6 +30,7 @@ CASES: tuple[Case, ...] = (
     (FLEET, "", '[nights]\ntime_zone = "right/UTC"', "nights.time_zone", "IANA"),
     (FLEET, "", "[smoothing]\nwindow_s = 120.0", "smoothing.window_s", "less than 120"),
     (FLEET, "", "[smothing]\nwindow_s = 1.0", "smothing", "did you mean smoothing?"),
+    (FLEET, "", "[defaults]\noyl = 'vg68'", "defaults.oyl", "did you mean oil?"),
     # A channel
     (MOTOR, "resolution = 0.1", "resolutoin = 0.1", f"{CHANNEL}.resolutoin", "spelling"),
     (MOTOR, "resolution = 0.1", "resolution = true", f"{CHANNEL}.resolution", "got true; expected"),
