@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.physics.oil import Oil, kinematic_viscosity_mm2_per_s
 from leakage.watch import choices
 from leakage.watch.attribution import (
     Attribution,
@@ -354,29 +353,6 @@ def _freed(
         due=0,
         often=NOTHING,
     )
-
-
-def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
-    """Return what data sheets and the viscosity law miss of a change of oil, relative to the flow.
-
-    σ = 0.2 |Δ ln ν| + 0.02 at a temperature.
-
-    Examples
-    --------
-    >>> from leakage.physics.oil import walther_coefficients
-    >>> constants = (882.0, 7.0e-4, 2.0e-8)
-    >>> vg_68, vg_46 = (
-    ...     Oil(name, *walther_coefficients(40.0, at_40, 100.0, at_100), *constants)
-    ...     for name, at_40, at_100 in (("VG 68", 68.0, 8.7), ("VG 46", 46.0, 6.8))
-    ... )
-    >>> oil_spread(vg_68, vg_68, 50.0), round(oil_spread(vg_68, vg_46, 50.0), 3)
-    (0.02, 0.092)
-    """
-    thick, thin = (
-        float(kinematic_viscosity_mm2_per_s(np.array([at_c]), oil.walther_a, oil.walther_b)[0])
-        for oil in (before, after)
-    )
-    return choices.OIL_LAW * abs(math.log(thick / thin)) + choices.OIL_SHEET
 
 
 def across_event(state: WatchState, machine: Machine, day: int, spread: float) -> WatchState:

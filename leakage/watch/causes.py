@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -9,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from leakage.arrays import Array
-from leakage.physics.oil import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.physics.oil import Oil, kinematic_viscosity_mm2_per_s, walther_coefficients
 from leakage.watch import choices
 from leakage.watch.baseline import Baseline
 from leakage.watch.nights import FLUSHING, Machine
@@ -140,3 +141,26 @@ def _viscosity(oil: tuple[float, float], middle_c: float) -> Array:
     walther = walther_coefficients(40.0, oil[0], 100.0, oil[1])
     at_c = np.array([middle_c, middle_c + STEP_K, middle_c - STEP_K])
     return kinematic_viscosity_mm2_per_s(at_c, *walther)
+
+
+def oil_spread(before: Oil, after: Oil, at_c: float) -> float:
+    """Return what data sheets and the viscosity law miss of a change of oil, relative to the flow.
+
+    σ = 0.2 |Δ ln ν| + 0.02 at a temperature.
+
+    Examples
+    --------
+    >>> from leakage.physics.oil import walther_coefficients
+    >>> constants = (882.0, 7.0e-4, 2.0e-8)
+    >>> vg_68, vg_46 = (
+    ...     Oil(name, *walther_coefficients(40.0, at_40, 100.0, at_100), *constants)
+    ...     for name, at_40, at_100 in (("VG 68", 68.0, 8.7), ("VG 46", 46.0, 6.8))
+    ... )
+    >>> oil_spread(vg_68, vg_68, 50.0), round(oil_spread(vg_68, vg_46, 50.0), 3)
+    (0.02, 0.092)
+    """
+    thick, thin = (
+        float(kinematic_viscosity_mm2_per_s(np.array([at_c]), oil.walther_a, oil.walther_b)[0])
+        for oil in (before, after)
+    )
+    return choices.OIL_LAW * abs(math.log(thick / thin)) + choices.OIL_SHEET

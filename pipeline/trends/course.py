@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from leakage.watch import Estimate, NightBlocks, Verdict, Watch, WatchSettings
-from leakage.watch.adoption import oil_spread
-from leakage.watch.causes import NO_LEAKAGE
+from leakage.watch.causes import NO_LEAKAGE, oil_spread
 from leakage.watch.choices import LEAKAGE_BY_LACK, METER_SPREAD, SENSOR_SPREAD
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
