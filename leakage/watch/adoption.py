@@ -360,8 +360,8 @@ def across_event(state: WatchState, machine: Machine, day: int, spread: float) -
 
     A dated event behind which a motor is the same, as other oil, another meter or sensor, is no
     border: what is known of the motor goes on, and the step in its night is the event's as far as
-    that is likely (model.md, 7c.6). No start of a change lies across it. The baseline stays: one of
-    the few nights since knew less, and detected +8 % later or not at all on four machines of four.
+    that is likely (model.md, 7c.6). No start of a change lies across it. The baseline stays:
+    that of the few nights since showed +8 % later or not at all on four machines of four.
     """
     state = event_settled(state)
     in_force = state.in_force
