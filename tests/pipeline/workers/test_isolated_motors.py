@@ -71,6 +71,8 @@ def test_a_night_that_takes_its_worker_along_costs_no_other_night(
     assert_frame_equal(fits(output_of(fleet)), before)
 
 
+# A night that does so is in the quick run, and so are the tasks of `test_isolation`.
+@pytest.mark.full
 def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
