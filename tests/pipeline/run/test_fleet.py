@@ -9,6 +9,7 @@ import stat
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import polars as pl
 import pytest
@@ -17,6 +18,7 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
 from pipeline.schema import TABLES, Table
+from pipeline.store.heartbeat import Heartbeat
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import Processes
 from tests.pipeline.run.demo_runs import (
@@ -46,6 +48,24 @@ def test_one_after_the_other_and_two_workers_write_the_same_bytes_wherever_they_
     first = table_files(output_of(fleet))
     assert first == table_files(tmp_path / "moved/out")
     assert len(first) >= 6 * 3
+
+
+def test_a_signal_between_two_stages_stops_the_run_as_within_a_stage(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    say = Heartbeat.say
+
+    def say_and_stop(self: Heartbeat, **words: Any) -> None:
+        say(self, **words)
+        if words.get("stage") == "motors":
+            signal.raise_signal(signal.SIGINT)
+
+    fleet = own_fleet(CSV)
+    monkeypatch.setattr(Heartbeat, "say", say_and_stop)
+    stopped = run(fleet)
+    assert (stopped.interrupted, stopped.n_nights) == (True, 0)
+    monkeypatch.undo()
+    assert status_of(run(fleet)) == {CSV: "ok"}
 
 
 @pytest.mark.full
