@@ -52,10 +52,7 @@ class CsvRequest:
 
 
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
-    """Return tables by their names; all of them where none is named.
-
-    Raises UsageError (``unknown_table``) if there is no table of a name.
-    """
+    """Return tables by their names; all of them where none is named."""
     known = {table.name: table for table in TABLES}
     strangers = [name for name in names if name not in known]
     if strangers:
@@ -73,9 +70,6 @@ def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tupl
     quoted one; times are ISO 8601 in UTC, numbers as short as they can be read back unchanged,
     lists JSON. Rows come night by night, within a night in the table's order. With a byte order
     mark Excel takes a file for UTF-8.
-
-    Raises UsageError (``no_tables``, ``csv_folder``) if there are none yet, or the folder is the
-    tables' own; StoreError if a table cannot be read or a file not be written.
     """
     tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):

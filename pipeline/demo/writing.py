@@ -51,9 +51,6 @@ def write_demo(
     must be absent, empty, or an earlier demo, whose logs are replaced. ``configs/`` is copied from
     the shipped where there is none, and else left alone. `motors`: ids of those that get logs,
     all if empty. The same seed makes the same files, whatever the number of workers.
-
-    Raises UsageError (``demo_configs``, ``demo_folder``) if the folder cannot be written or is not
-    ours; ConfigError if the fleet's config has faults.
     """
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
     demo = folder / "demo"

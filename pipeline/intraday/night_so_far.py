@@ -69,8 +69,6 @@ def read_so_far(
 
     `known`: The logs as the last nightly run read them, which says how far most of them go; where
     none is new, there is no night so far. Samples after `latest_us` are refused.
-
-    Raises Insufficient if there are no new samples.
     """
     nights, faults = spec.settings.nights, list[str]()
     logs = list[RawLog]()
@@ -124,10 +122,7 @@ def _state(record: FileRecord) -> tuple[int, int]:
 def blocks_so_far(
     spec: MotorSpec, watch_columns: WatchColumns, night: Night, channels: dict[str, RawChannel]
 ) -> NightSoFar:
-    """Return short blocks of a warm motor, by the night's own rules.
-
-    Raises Insufficient or LeakageError where they say nothing.
-    """
+    """Return short blocks of a warm motor, by the night's own rules."""
     samples, quality = clean_channels(spec.file, spec.settings, night, channels)
     require_enough(samples, quality)
     samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
@@ -195,10 +190,7 @@ def nights_before(
     content: bytes | None,
     label: dt.date,
 ) -> NightsBefore:
-    """Return the watch before a night, by what the last nightly run left of it.
-
-    Raises Insufficient if there is none; StoreError if a published table is damaged.
-    """
+    """Return the watch before a night, by what the last nightly run left of it."""
     checkpoint = decoded(content)
     if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")

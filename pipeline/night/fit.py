@@ -112,10 +112,7 @@ class BlockFit:
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
 ) -> tuple[list[BlockFit], list[Row]]:
-    """Return a fit for each mode of flushing, the primary first, and rows of `error_budget`.
-
-    Raises EstimationError if there are fewer samples than free coefficients.
-    """
+    """Return a fit for each mode of flushing, the primary first, and rows of `error_budget`."""
     at = conditions(spec, blocks)
     fits, rows = [], []
     for mode in spec.file.flushing.modes:

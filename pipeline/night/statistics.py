@@ -58,10 +58,7 @@ class NightStatistics(CompressedSamples):
 def night_statistics(
     spec: MotorSpec, motor: Motor, night: Night, samples: Samples, *, is_merged: bool = True
 ) -> NightStatistics:
-    """Return a night's regressors, smoothed where that is asked for, its blocks and their factors.
-
-    Raises ValidityError if the oil's viscosity is not known at a temperature.
-    """
+    """Return a night's regressors, smoothed if asked for, its blocks and their factors."""
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
     unsmoothed = np.empty((len(samples.index), len(motor.columns)), order="F")

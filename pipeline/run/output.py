@@ -26,7 +26,6 @@ from pipeline.store.published import (
     OF_TRENDS,
     TableFault,
     accepted_digests,
-    longest_unproven,
     note,
     set_aside,
     verify_files,
@@ -129,12 +128,12 @@ def _rename_state(state: StateDatabase, old: str, new: str) -> None:
 
 
 def find_damage(state: StateDatabase, *, every_file: bool = False) -> tuple[TableFault, ...]:
-    """Name files that are gone or damaged, and rename these; prove others, or all.
+    """Name files that are gone or damaged, and rename these.
 
     Raises StoreError if the state cannot be read or written, or a file is not to be renamed.
     """
     sound, faults = [], []
-    for file in verify_files(state, None if every_file else longest_unproven(state)):
+    for file in verify_files(state, every_file=every_file):
         if file.fault is None:
             sound.append((file.name, file.sha256, file.accepted))
             continue

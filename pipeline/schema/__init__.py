@@ -177,10 +177,7 @@ TABLES = (
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
-    """Return rows as a frame with exactly the table's columns and types; absent values are null.
-
-    Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
-    """
+    """Return rows as a frame with exactly the table's columns and types; absent values are null."""
     # Not by way of Arrow, which loads pandas, where it is installed, with its first array.
     return pl.DataFrame(
         _known(rows, table.name, table.schema), schema=table.schema, orient="row", strict=True
@@ -188,11 +185,7 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 
 
 def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
-    """The same in Arrow, without the run: many rows of many columns take a quarter of the time.
-
-    Raises ValueError or TypeError for a column that the table has not, or a value that a column
-    cannot hold.
-    """
+    """The same in Arrow, without the run: many rows of many columns take a quarter of the time."""
     schema = _staged_schema(table)
     every = pa.array(_known(rows, table.name, schema.names), pa.struct(schema))
     return pa.Table.from_struct_array(every)

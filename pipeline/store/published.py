@@ -13,10 +13,9 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import ceil
 from pathlib import Path
 
 from pipeline.errors import StoreError, UsageError
@@ -31,9 +30,6 @@ OF_MOTORS = {table.name for table in (NIGHTS, *NIGHT_TABLES)}
 OF_TRENDS = {table.name for table in TREND_TABLES}
 # Stands for no file where a digest is expected.
 NO_FILE = ""
-# A run reads this part of all files, besides those that were written to since: with a run a night
-# each file is read once a month.
-PART_OF_A_RUN = 1 / 30
 # Ending of a damaged file: no reader takes it for a table.
 ASIDE = ".damaged"
 # Tables that may be pruned, and what is lost with each.
@@ -71,17 +67,15 @@ def announce(state: StateDatabase, coming: Mapping[str, str | None]) -> None:
 
 def note(state: StateDatabase, files: Mapping[str, str | None]) -> None:
     """Note files that are in their places: SHA-256 by name; None: there is none."""
-    now = dt.datetime.now(dt.UTC).isoformat()
     rows = [
-        (name, digest, *_stamp(state.output, name), now)
+        (name, digest, *_stamp(state.output, name))
         for name, digest in files.items()
         if digest is not None
     ]
     with state.transaction():
         state.write_all("DELETE FROM files WHERE name = ?", ((name,) for name in files))
         state.write_all(
-            "INSERT INTO files (name, sha256, size, modified_ns, proven) VALUES (?, ?, ?, ?, ?)",
-            rows,
+            "INSERT INTO files (name, sha256, size, modified_ns) VALUES (?, ?, ?, ?)", rows
         )
 
 
@@ -161,25 +155,19 @@ def _remedy(name: str) -> str:
     return "nothing makes it anew"
 
 
-def verify_files(state: StateDatabase, due: Collection[str] | None = ()) -> Iterator[VerifiedFile]:
-    """Read the files that are gone, were written to since, are not listed, or due; None: all."""
+def verify_files(state: StateDatabase, *, every_file: bool = False) -> Iterator[VerifiedFile]:
+    """Read the files that are gone, were written to since, or are not listed; or all."""
     rows = state.rows("SELECT name, size, modified_ns FROM files WHERE coming IS NULL")
     as_noted = {name for name, *stamp in rows if tuple(stamp) == _stamp(state.output, name)}
     listed = {name for (name,) in state.rows("SELECT name FROM files")}
     for name in sorted(listed.union(_published_names(state.output))):
-        if due is None or name in due or name not in as_noted:
+        if every_file or name not in as_noted:
             yield verify_file(state, name)
 
 
 def _published_names(output: Path) -> Iterator[str]:
     """Yield names of the files that are in places of tables."""
     return (name_of(output, path) for table in TABLES for path in files_of(output, table))
-
-
-def longest_unproven(state: StateDatabase) -> set[str]:
-    """Return names of the files that a run reads, though nobody has written to them."""
-    names = state.rows("SELECT name FROM files ORDER BY proven, name")
-    return {name for (name,) in names[: ceil(len(names) * PART_OF_A_RUN)]}
 
 
 def set_aside(state: StateDatabase, name: str) -> None:
@@ -192,7 +180,7 @@ def set_aside(state: StateDatabase, name: str) -> None:
 def faults_of(output: Path) -> tuple[TableFault, ...]:
     """Return faults of the published files that are gone, or were written to since."""
     with read_state_file(output) as state:
-        return tuple(file.fault for file in verify_files(state) if file.fault is not None)
+        return tuple(file.fault for file in verify_files(state) if file.fault)
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
@@ -202,7 +190,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
         yield TableFault(STATE_FILE, "state_damaged", message)
         return
     with read_state_file(output) as state:
-        yield from (file.fault for file in verify_files(state, None) if file.fault is not None)
+        yield from (file.fault for file in verify_files(state, every_file=True) if file.fault)
         there = (name_of(output, path) for path in (output / "tables").rglob(f"*{ENDING}"))
         for name in sorted(set(there).difference(_published_names(output))):
             message = "it was not published by a run; delete it"
@@ -253,11 +241,7 @@ def old_files(
 
 
 def prune(state: StateDatabase, old: Sequence[OldFiles]) -> None:
-    """Remove such files; the caller holds the output's lock.
-
-    Raises StoreError if the state cannot be written or a file not be removed; pruning again does
-    the rest.
-    """
+    """Remove such files; the caller holds the output's lock."""
     names = [name for months in old for name in months.names]
     announce(state, dict.fromkeys(names))
     for name in names:

@@ -171,8 +171,6 @@ class Publisher:
         """Publish what some motors have staged in a folder, the oldest month first.
 
         `published` is called in the transaction that notes the last files.
-
-        Raises StoreError if a file cannot be written, or the present file is damaged.
         """
         staged = staged_in(self.staging / folder, tables, motor_ids)
         months = sorted({label[:7] for _, label in staged})
@@ -299,10 +297,7 @@ def _with_rows(
 
 
 def write_views(output: Path) -> None:
-    """Write `views.sql`, with paths relative to its folder.
-
-    Raises StoreError if it cannot be written.
-    """
+    """Write `views.sql`, with paths relative to its folder."""
     head = f"-- Views of all tables; made by each run. In this folder: duckdb -init {VIEWS}\n"
     tables = (_view(output, table) for table in TABLES)
     text = "\n".join([head, *tables, *_comments()]) + "\n"

@@ -40,10 +40,7 @@ DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def existing_tables(output: Path) -> Path:
-    """Return folder of all tables.
-
-    Raises UsageError (``no_tables``) if there are none.
-    """
+    """Return folder of all tables."""
     tables = output / "tables"
     if not tables.is_dir():
         raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")

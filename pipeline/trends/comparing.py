@@ -31,13 +31,6 @@ def compare_nights(
 
     None beyond another event that begins a baseline. Returns the comparison as plain data, and
     what is reported of it in lines.
-
-    Raises
-    ------
-    UsageError
-        If there are too few nights on a side.
-    StoreError
-        If a table file is damaged.
     """
     with read_state_file(output) as state:
         spec = as_published(spec, read_settings(state).get(spec.motor_id))

@@ -61,9 +61,3 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
         return TinyFleet(folder)
 
     return keep
-
-
-@pytest.fixture
-def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Proofs of a run do not depend on the day on which the test is run."""
-    monkeypatch.setattr("pipeline.run.output.longest_unproven", lambda _: set())

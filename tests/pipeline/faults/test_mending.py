@@ -24,13 +24,7 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store.published import (
-    VerifiedFile,
-    longest_unproven,
-    note,
-    verify_files,
-    verify_tables,
-)
+from pipeline.store.published import VerifiedFile, note, verify_files, verify_tables
 from pipeline.store.state import StateDatabase, open_state
 from pipeline.store.tables import name_of, read_rows
 from pipeline.trends.decisions import read_decisions
@@ -83,11 +77,10 @@ def test_a_file_that_is_gone_or_damaged_is_named_and_made_anew_by_the_run_that_p
     check_repaired(output, tiny_fleet.after)
 
 
-@pytest.mark.usefixtures("_nothing_due")
 def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     tiny_fleet: TinyFleet, output: Path
 ) -> None:
-    """Whenever its turn would be; and once it is proven, it waits for its turn again."""
+    """Once it is proven, `--repair` alone reads it again."""
     path = night_file(output, PREDICTIONS, NIGHT)
     whole = path.read_bytes()
     path.write_bytes(whole)
@@ -98,27 +91,14 @@ def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     assert codes_of(tiny_fleet.run(output).damage) == [(name_of(output, path), "table_altered")]
 
 
-def test_every_file_has_its_turn_within_thirty_runs(tmp_path: Path) -> None:
-    names = {f"fits/month=2026-01/2026-01-{day:02}.parquet" for day in range(1, 32)}
-    proven = set()
-    with open_state(tmp_path) as state:
-        note(state, dict.fromkeys(names, "00"))
-        for _ in range(30):
-            due = longest_unproven(state)
-            assert len(due) == 2  # the 30th part of 31 files
-            note(state, dict.fromkeys(due, "00"))
-            proven |= due
-    assert proven == names
-
-
 def test_a_file_published_while_a_run_proves_others_stays_as_noted_then(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An intraday check publishes beside a run."""
     name = name_of(output, night_file(output, FITS, NIGHT))
 
-    def verified(state: StateDatabase, due: object) -> Iterator[VerifiedFile]:
-        yield from verify_files(state, None)
+    def verified(state: StateDatabase, **_: object) -> Iterator[VerifiedFile]:
+        yield from verify_files(state, every_file=True)
         note(state, {name: "of the check"})
 
     monkeypatch.setattr("pipeline.run.output.verify_files", verified)
@@ -127,11 +107,10 @@ def test_a_file_published_while_a_run_proves_others_stays_as_noted_then(
         assert state.rows("SELECT sha256 FROM files WHERE name = ?", name) == [("of the check",)]
 
 
-@pytest.mark.usefixtures("_nothing_due")
 def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     tiny_fleet: TinyFleet, output: Path
 ) -> None:
-    """A bit of a footer, in a night that they read as nothing is kept of it, and that is not due.
+    """A bit of a footer, in a night that they read as nothing is kept of it.
 
     Before, all motors of the fleet failed of it in each run for good.
     """
