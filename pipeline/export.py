@@ -32,10 +32,7 @@ _UNSAFE_START = rf"^([{_FORMULA_START}\t\r\n\x00])"
 
 @dataclass(frozen=True, slots=True)
 class CsvRequest:
-    """What is exported, and how; raises UsageError (``csv_dialect``) where no reader could take it.
-
-    By default all, in the dialect that most programs read.
-    """
+    """What is exported, and how: by default all, in the dialect that most programs read."""
 
     tables: tuple[Table, ...] = TABLES  # in the order in which they are written
     motors: tuple[str, ...] = ()  # empty: all; tables without a motor are not affected
@@ -64,12 +61,10 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
 
 
 def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tuple[Path, int]]:
-    """Write each table as a CSV file, whole or not at all; the files, and their rows.
+    """Write each table as a CSV file, whole or not at all; yield the files, and their rows.
 
-    UTF-8, a header line, cells quoted where they must be. Null is an empty cell, an empty text a
-    quoted one; times are ISO 8601 in UTC, numbers as short as they can be read back unchanged,
-    lists JSON. Rows come night by night, within a night in the table's order. With a byte order
-    mark Excel takes a file for UTF-8.
+    Null is an empty cell, an empty text a quoted one; times are ISO 8601 in UTC, lists JSON,
+    numbers as short as they can be read back unchanged.
     """
     tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):
@@ -116,22 +111,7 @@ def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
 
 
 def as_text(rows: pl.DataFrame, separator: str = ",") -> pl.DataFrame:
-    """Return rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text.
-
-    Examples
-    --------
-    >>> as_text(pl.DataFrame({"message": ["=1+1", "a;-b", "1 - 2"], "x": [-1.5, 2.0, None]}))
-    shape: (3, 2)
-    ┌─────────┬──────┐
-    │ message ┆ x    │
-    │ ---     ┆ ---  │
-    │ str     ┆ f64  │
-    ╞═════════╪══════╡
-    │ '=1+1   ┆ -1.5 │
-    │ a;'-b   ┆ 2.0  │
-    │ 1 - 2   ┆ null │
-    └─────────┴──────┘
-    """
+    """Return rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text."""
     columns = []
     for name, kind in rows.schema.items():
         if kind == pl.String:

@@ -56,24 +56,12 @@ def _attach() -> None:
 
 
 def counted(n: int, noun: str) -> str:
-    """A number with its noun.
-
-    Examples
-    --------
-    >>> counted(1, "file"), counted(2, "file")
-    ('1 file', '2 files')
-    """
+    """Return a number with its noun."""
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
 def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str:
-    """The message of a command that ends early, with its cause.
-
-    Examples
-    --------
-    >>> error_line("locked", "process 12 writes to this output", 3, as_json=False)
-    'motor-leakage: locked: process 12 writes to this output'
-    """
+    """Return the message of a command that ends early, with its cause."""
     if not as_json:
         return f"motor-leakage: {code}: {message}"
     line = {"event": "error", "code": code, "message": message, "exit_code": exit_code}
@@ -86,13 +74,7 @@ def plain(name: str) -> str:
 
 
 def as_sentence(words: str) -> str:
-    """Words with a capital and a full stop.
-
-    Examples
-    --------
-    >>> as_sentence("flows have risen"), as_sentence("")
-    ('Flows have risen.', '')
-    """
+    """Return words with a capital and a full stop."""
     return f"{words[:1].upper()}{words[1:].removesuffix('.')}." if words else ""
 
 

@@ -107,10 +107,7 @@ class DemoNight:
 
 
 def coefficients_of(night: DemoNight) -> dict[str, float]:
-    """Return a motor in a night: as built, with its wear and a small scatter between nights.
-
-    By path: K of the gaps [m³], scale of the rollers' curve [-], flushing [l/min].
-    """
+    """Return K of the gaps [m³], scale of the rollers, flushing [l/min] of a night, by path."""
     rng, motor = night.generator("truth"), night.motor
     coefficients = {path.name: path.configured_coefficient for path in motor.paths}
     for path in motor.paths:

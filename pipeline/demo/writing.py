@@ -47,10 +47,8 @@ def write_demo(
 ) -> None:
     """Write the logs of the fleet ``configs/fleet.toml`` of a folder to ``demo/`` beside it.
 
-    Below ``demo/`` come ``logs/<motor_id>/``, a file a night, and, last of all, ``truth.json``; it
-    must be absent, empty, or an earlier demo, whose logs are replaced. ``configs/`` is copied from
-    the shipped where there is none, and else left alone. `motors`: ids of those that get logs,
-    all if empty. The same seed makes the same files, whatever the number of workers.
+    ``demo/`` must be absent, empty, or an earlier demo, whose logs are replaced; `motors` are those
+    that get logs, all if empty. The same seed makes the same files, whatever the number of workers.
     """
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
     demo = folder / "demo"

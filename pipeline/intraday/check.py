@@ -1,7 +1,6 @@
 """The intraday check of a fleet: each motor's night so far, rows of `intraday`, and notifications.
 
-A check holds a lock against another check, and never that of the nightly run. A published night
-confirms or withdraws what was reported: the nightly run asks for it here.
+A check holds a lock against another check, and never that of the nightly run.
 """
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ def read_so_far(
 ) -> tuple[Night, dict[str, RawChannel]]:
     """Return the night of the newest samples in a motor's logs, and its channels.
 
-    `known`: The logs as the last nightly run read them, which says how far most of them go; where
-    none is new, there is no night so far. Samples after `latest_us` are refused.
+    `known` are the logs as the last nightly run read them; where none is new, there is no night so
+    far.
     """
     nights, faults = spec.settings.nights, list[str]()
     logs = list[RawLog]()
@@ -90,10 +90,7 @@ def read_so_far(
 def _newest_logs(
     spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int, faults: list[str]
 ) -> list[Path]:
-    """Return logs of the night with the newest stamp and the day before it, in order of their ends.
-
-    The newest stamp may be wrong, up to a day ahead. None where no log is new.
-    """
+    """Return logs of the newest night and the day before, by their ends; none without a new log."""
     ends, is_new = dict[Path, int](), False
     for name, path in find_logs(spec)[0].items():
         record, before = stat_log(name, path), known.get(name)

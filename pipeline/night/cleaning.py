@@ -1,9 +1,7 @@
 """A channel's samples in order, every rule applied, and what each of them refused counted.
 
 Channels are cleaned on their own samples, before the time base: a bad temperature sample,
-interpolated to 10 Hz, would spoil nineteen. Samples are readings, changes, means of a period, or
-counts of a volume: the config says which (`[channels.<name>] sampling`, `counts`); nothing here
-guesses. The rules on arrays are in `pipeline.night.masks`.
+interpolated to 10 Hz, would spoil nineteen.
 """
 
 from __future__ import annotations
@@ -127,10 +125,7 @@ class ChannelRules:
 
 
 def means_too_long(channels: Mapping[ChannelName, Channel]) -> str | None:
-    """Return which channels are means of too long periods for a fit, in words; None: there is none.
-
-    A mean of the inputs is no input of the mean: the leakage is not linear in them.
-    """
+    """Return which channels are means of too long periods for a fit, in words, or None."""
     too_long = [
         f"{name} is logged as means of {channel.mean_of_s:g} s"
         for name, channel in channels.items()
@@ -205,9 +200,8 @@ def clean_channel(
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
-    Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
-    no rule counts it; None: all samples are of the night. `stamps` has those of the channel before,
-    which may be the same; `rests` are the motor's standstills, in which nothing need move.
+    Of what lies before `night_start_us`, the last sample of an on-change channel carries over.
+    `stamps` has those of the channel before, which may be the same; in `rests` nothing need move.
     """
     stamps = stamps or SharedStamps()
     early, here = None, raw

@@ -109,7 +109,6 @@ def column_change(
 ) -> Change | None:
     """Return why readings look like those of other columns or units than usual; None: they do not.
 
-    Both have the channels of `COLUMNS`, in the units of the tables, and may have each gauge of two.
     A night that is not fitted says nothing of the others' units.
     """
     if min(means[name] for means in (usual, now) for name in COLUMNS) <= 0.0:
@@ -166,8 +165,8 @@ def _other_units(
 ) -> Iterator[tuple[float, Change]]:
     """Yield readings that are right in another unit, the likeliest with the smallest figure.
 
-    The readings of now and the usual ones are right in one unit, or the other way about. The right
-    ones are nearer to the configured model, and the others in a unit that plants have.
+    The right ones, of now or the usual ones, are nearer to the configured model, and the others in
+    a unit that plants have.
     """
     right, wrong = (now, usual) if is_of_others else (usual, now)
     misfit = _factor(_relation(model_flow, right), 1.0) ** MODEL_SHARE
@@ -214,9 +213,7 @@ def _off(
     usual: Mapping[str, float],
     now: Mapping[str, float],
 ) -> float:
-    """Return the factor by which another reading of a channel is off; inf if it is not the right
-    one by two signs.
-    """
+    """Return the factor by which another reading is off; inf without two signs for it."""
     right = _with_reading(name, reading, now)
     before, as_read, mended = (_relation(model_flow, means) for means in (usual, now, right))
     off, left = _factor(as_read, before), _factor(mended, before)

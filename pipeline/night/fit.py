@@ -1,9 +1,8 @@
 """The fit from stored blocks: of a night just read, of a night fitted anew, of nights together.
 
-The total ± of a figure, of samples, sensors and model, is half the width of a 95 % interval of the
-figure itself; a stated tolerance counts as two standard deviations, and of sensors whose tolerance
-nobody stated that of their kind holds. A motor that is compared with itself takes the statistical
-part alone: what its sensors and its model do wrong is the same on all nights.
+The total ± of a figure, of samples, sensors and model, is half the width of a 95 % interval; a
+stated tolerance counts as two standard deviations. A motor that is compared with itself takes the
+statistical part alone: what its sensors and its model do wrong is the same on all nights.
 """
 
 from __future__ import annotations
@@ -131,12 +130,7 @@ def fit_stored_blocks(
     at: tuple[OperatingConditions, OperatingConditions],
     budget: Sequence[Mapping[str, Any]],
 ) -> BlockFit:
-    """Fit a motor, in the form in which it is fitted, to blocks of samples.
-
-    `at` are the conditions of the leakages: :func:`conditions`; `budget` are the mode's rows of
-    `error_budget`. Raises EstimationError if there are fewer training samples than free
-    coefficients.
-    """
+    """Fit a motor to blocks; `at` are its :func:`conditions`, `budget` rows of the mode."""
     motor = spec.stated.motor(night, mode)
     samples = blocks.sample_blocks()
     stated = fit_blocks(samples, motor)
@@ -297,10 +291,7 @@ def _budget_rows(
     at: tuple[OperatingConditions, OperatingConditions],
     night: dt.date,
 ) -> Iterator[Row]:
-    """Yield rows of `error_budget`: all tolerances carried through evenly thinned samples.
-
-    None where that leads beyond a law's validity.
-    """
+    """Yield rows of `error_budget` by evenly thinned samples; none beyond a law's validity."""
     n = len(statistics.samples.index)
     chosen = np.linspace(0, n - 1, min(SENSITIVITY_SAMPLES, n)).round().astype(np.int64)
     thinned = statistics.conditions.part(chosen)

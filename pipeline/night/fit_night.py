@@ -1,9 +1,4 @@
-"""A motor's night: raw channels in, rows of the tables out.
-
-Pure: no files, no shared state, and errors are data. The order of the stages is the order of the
-data: clean each channel, time base, joint rules, regressors, matched smoothing, blocks, split, fit,
-validation, rows.
-"""
+"""A motor's night: raw channels in, rows of the tables out, stage by stage as the data go."""
 
 from __future__ import annotations
 
@@ -69,12 +64,8 @@ def fit_night(
 ) -> NightOutcome:
     """Fit a motor's night; whatever happens short of a fault in the code is its outcome.
 
-    `spec, night`: The motor with its resolved config, in the form in which it is fitted, and the
-    night.
-    `channels`: Raw samples of the night by channel; of an on-change channel also some from before
-    it, of which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
-    not to be in memory twice.
-    `look`: Called with the kept samples.
+    Each channel is taken out when it is its turn: a day at 100 Hz is not to be in memory twice.
+    `look` is called with the kept samples.
     """
     seconds: dict[str, float] = {}
     rows: Rows = {}

@@ -1,7 +1,6 @@
 """Depressurised, settled halts: the only time at which a sensor's zero shows.
 
-A motor that stands still without pressure leaks nothing, so its pressure difference is 0 and its
-drain flow is the flushing alone. What the sensors then say is their zero. Equal pressures on both
+Without pressure nothing leaks, and the drain flow is the flushing alone. Equal pressures on both
 ports leak to the case: the flow's zero shows only where they are known to be near case pressure.
 """
 
@@ -40,11 +39,9 @@ def zeros_of_halts(
     settings: SensorHealth,
     case_bar: float = 0.0,
 ) -> tuple[Zero | None, Zero | None]:
-    """Return the zeros of the pressure difference and of the drain flow, the flushing included.
+    """Return the zeros of the pressure difference and the drain flow; None where no halt shows it.
 
-    None where there was no such halt, or it is not known to be one. `case_bar` is the case pressure
-    if not logged. Samples refused as frozen count here: a sensor that has nothing to measure may
-    well not move.
+    Samples refused as frozen count: a sensor that has nothing to measure may well not move.
     """
     sides = {"pressure_difference": 1.0}
     if "high_port_pressure" in channels:
@@ -89,10 +86,7 @@ def _is_relieved(
 
 
 def _readings(channel: CleanChannel, begin_us: int, end_us: int) -> Values:
-    """Readings of a sensor in a stretch of time, below its maximum; none where it is too short.
-
-    The share of credible samples is taken for the share of the time, however they are sampled.
-    """
+    """Return readings in a stretch, below the sensor's maximum; none where it is too short."""
     first, last = np.searchsorted(channel.time_us, [begin_us, end_us])
     value, saturated = channel.value[first:last], channel.at_maximum[first:last]
     readings: Values = value[np.isfinite(value) & ~saturated]

@@ -51,13 +51,7 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
     """Return places of the steps, from each time to the next, of which something holds.
 
-    Some at a time, which stay in the cache: a night at 100 Hz takes half the time, and no array of
-    its own length.
-
-    Examples
-    --------
-    >>> steps_where(lambda steps_us: steps_us > 10, np.array([0, 10, 40, 50, 70]))
-    array([1, 3])
+    Some at a time, which stay in the cache: a night at 100 Hz takes half the time.
     """
     borders = [
         begin + np.flatnonzero(holds(np.diff(time_us[begin : begin + CACHED + 1])))
@@ -71,9 +65,8 @@ def missing_sample(
 ) -> Mask:
     """Return blank cells at which the channel should have had a sample.
 
-    In a log whose rows are those of the fastest channel, a slower channel is blank in most of them:
-    a blank cell is a missing sample only where the channel's own period, counted from its last
-    sample, says that a sample is due, and none comes a little late.
+    A slower channel is blank in most rows of a log: a sample is missing only where the channel's
+    own period, counted from its last sample, says that one is due, and none comes a little late.
     """
     if period_us is None or not blank.any():
         return blank.copy()
@@ -124,18 +117,12 @@ def spike(
     resolution: float,
     borders: NDArray[np.intp] = NO_BORDERS,
 ) -> Mask:
-    """Hampel filter: values too far from the median of their neighbourhood.
+    """Return values too far from the median of their neighbourhood, by Hampel's filter.
 
     The scale is the median absolute deviation within the window, as a standard deviation, and never
-    below the sensor's resolution: a coarse signal has a deviation of 0 and would lose its steps.
-
-    The window is odd, and mirrored at `borders`, the first samples behind a gap; of fewer samples
-    than it holds none is a spike.
-
-    References
-    ----------
-    .. [1] R. K. Pearson, "Outliers in process modeling and identification", *IEEE Transactions on
-       Control Systems Technology*, 10(1), 2002.
+    below the sensor's resolution: a coarse signal would lose its steps. The window is odd, and
+    mirrored at `borders`, the first samples behind a gap. R. K. Pearson, "Outliers in process
+    modeling and identification", IEEE Transactions on Control Systems Technology 10(1), 2002.
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     half = window // 2
@@ -176,10 +163,9 @@ def _stands_out(windows: Values, rows: NDArray[np.intp], threshold: float, floor
 
 
 def _far_from_median(value: Values, half: int, floor: float) -> Mask:
-    """Values more than a floor away from the median of `half` values on either side and itself.
+    """Return values more than a floor from the median of `half` values on either side and itself.
 
-    The median is at most so far below where half of the others are, and likewise above. The first
-    and the last `half` values are only others.
+    The median is at most so far below where half of the others are, and likewise above.
     """
     n = len(value) - 2 * half
     far = np.empty(n, dtype=np.bool_)
@@ -206,11 +192,9 @@ def frozen(
     frozen_after_us: float,
     borders: NDArray[np.intp] = NO_BORDERS,
 ) -> Mask:
-    """Return values that stay within a step of the sensor for too long.
+    """Return values that stay within a step of the sensor for too long, gaps before borders aside.
 
-    Readings of the sensor's steps are distinguished; noise of less than half a step between them,
-    as a conversion of units leaves it, is no change, wherever it lies. The gaps before `borders`
-    add no time.
+    Noise of less than half a step, as a conversion of units leaves it, is no change.
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     gaps_us = np.append(0, np.cumsum(time_us[borders] - time_us[borders - 1]))
@@ -243,8 +227,8 @@ def _suspects(
 ) -> list[slice]:
     """Return parts of the samples in which all stretches that last too long lie as a whole.
 
-    Of marks that are half of such a time apart a stretch covers two in a row, with the samples
-    around each of them and all between: few samples tell where that cannot be.
+    Of marks half of such a time apart a stretch covers two in a row: few samples tell where it
+    cannot.
     """
     n = len(value)
     span_us = int(time_us[-1] - time_us[0]) if n else 0
@@ -297,10 +281,7 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
 
 
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:
-    """Return samples of the time base at which a channel changes faster than a limit.
-
-    Both ends of each fast change are refused.
-    """
+    """Return both ends of each change of a channel on the time base that is faster than a limit."""
     pairs = present[1:] & present[:-1]
     rate = np.zeros(len(pairs))
     rate[pairs] = np.abs(np.diff(value)[pairs]) / period_s
@@ -322,11 +303,10 @@ def flow_from_counts(
     is_total: bool,
     rolls_over_at: float | None = None,
 ) -> tuple[Times, Values, dict[str, Mask]]:
-    """Return the flow [l/min] of a counter of volume since each sample before, at the middle.
+    """Return times and flow [l/min] of a counter since each sample before, and masks by reason.
 
-    It counts since the sample before, or is a running total, which may begin at 0 again. Masks by
-    reason: samples without a known sample before them, the first and those after a gap, and those
-    at which a total fell other than by rolling over. The flow is nan where it is not known.
+    `no_interval`: there is no known sample before; `counter_reset`: a total fell other than by
+    rolling over. The flow is nan there.
     """
     steps = np.diff(time_us, prepend=time_us[:1])
     fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)
@@ -349,11 +329,7 @@ def flow_from_counts(
 
 
 def step_of_readings(value: Values) -> float:
-    """Return the step in which readings visibly come; 0 where they do not.
-
-    Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
-    common enough to be a step of the sensor and not of what it measures.
-    """
+    """Return the commonest change between neighbours, if it is common enough for a step; else 0."""
     apart = max(1, len(value) // PAIRS_LOOKED_AT)
     pairs = np.abs(value[1::apart] - value[:-1:apart])
     changes = pairs[pairs > 0]

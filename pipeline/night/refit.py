@@ -1,7 +1,6 @@
 """Nights fitted anew from their published rows, when settings of the fit changed: without a log.
 
-Proven minimum, verdicts, intervals and figures by path are made from the blocks as stored, which
-give what the samples would give. What needs samples keeps its rows.
+What needs samples keeps its rows.
 """
 
 from __future__ import annotations
@@ -45,10 +44,7 @@ class PublishedNight:
 
 
 def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
-    """Fit a night anew; None where the published rows do not suffice: the log has to be read.
-
-    The motor has the settings that hold now, in the form in which it is to be fitted.
-    """
+    """Fit a night anew; None where the published rows do not suffice: the log has to be read."""
     modes, primary = spec.file.flushing.modes, spec.file.flushing.mode
     fits = {row["flushing_mode"]: row for row in night.rows["fits"]}
     own = next(iter(night.rows["nights"]), {})
@@ -82,10 +78,7 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
 
 
 def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
-    """Fit a night anew that was just read, for another scale of the rollers.
-
-    What needs samples stays; so does all where the night has no fit, or its rows do not suffice.
-    """
+    """Fit a night that was just read for another scale of the rollers, where its rows suffice."""
     if outcome.status != OK:
         return outcome
     blocks = pl.DataFrame(

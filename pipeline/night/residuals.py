@@ -90,9 +90,8 @@ def _finite(values: Array) -> list[float | None]:
 def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
     """Return columns of `fits` on the drain flow's lag in a night; null where it has none.
 
-    A drain line that is not full, and a meter that averages, delay the flow. It follows the model's
-    own columns, and of machines that the model lacks something of, speed and the root of the
-    pressure. Where a motor's first nights agree on a lag, all its nights are paired so.
+    It follows the model's own columns, and of machines that the model lacks something of, speed and
+    the root of the pressure.
     """
     samples = statistics.samples
     drivers = np.column_stack(

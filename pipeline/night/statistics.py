@@ -1,8 +1,8 @@
 """From a night's kept samples to the statistics of the blocks of its good parts.
 
-Every path's flow is proportional to 1/η, so a measured viscosity, by a sensor in the log or by
-analyses of the oil, scales the columns of a block by one factor. Blocks are stored with the data
-sheet's oil and scaled where they are used: an analysis that is entered late needs no log.
+Every path's flow is proportional to 1/η, so a measured viscosity scales the columns of a block by
+one factor. Blocks are stored with the data sheet's oil and scaled where they are used: an analysis
+that is entered late needs no log.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ class SensorRatio(NamedTuple):
 def sensor_ratio(oil: Oil, samples: Samples) -> SensorRatio | None:
     """Return logged viscosity over the data sheet's; None where no channel has it.
 
-    The change with temperature is that of least squares, drawn to 0 where the night's temperatures
-    hardly differ. Raises Insufficient where the channel cannot tell it.
+    The change with temperature is that of least squares, drawn to 0 where temperatures hardly
+    differ.
     """
     for name in VISCOSITIES:
         if name not in samples.viscosities:
@@ -152,9 +152,6 @@ def _without_viscosity(why: str) -> Insufficient:
 
 
 def driven(columns: Sequence[str], ratios: Array) -> Array:
-    """Return factors on the columns of blocks whose oil was measured, shape (b, c).
-
-    `ratios` are measured viscosities over the data sheet's, shape (b,).
-    """
+    """Return factors on blocks' columns, shape (b, c), by measured viscosity over the sheet's."""
     is_driven = np.array([name not in ("one", "measured") for name in columns])
     return np.where(is_driven, 1.0 / ratios[:, None], 1.0)

@@ -143,10 +143,7 @@ class StoredBlocks:
 def _viscosity_ratios(
     spec: MotorSpec, night: dt.date, temperature_c: Array, by_sensor: Array
 ) -> Array | None:
-    """Measured viscosity over the data sheet's of a night's blocks, shape (b,); None: not measured.
-
-    `temperature_c` is each block's mean; `by_sensor` is nan where no sensor measured.
-    """
+    """Return measured viscosity over the data sheet's by block; None where nothing measured it."""
     curve = spec.measured_curve(night)
     if curve is None:
         return by_sensor if np.isfinite(by_sensor).any() else None

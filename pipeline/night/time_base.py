@@ -1,8 +1,8 @@
 """The common time base of all channels of a night, and the rules that need them all at once.
 
 The grid is anchored at the night's start, so it does not depend on which files a night came in.
-An on-change channel begins with its last sample before the night. Slower channels are interpolated
-linearly, never across a gap or a refused sample; faster ones are averaged over a cell of the grid.
+Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
+averaged over a cell of the grid.
 """
 
 from __future__ import annotations
@@ -117,11 +117,11 @@ class Samples:
 
 
 def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> int:
-    """Period of the time base [µs]: as stated, else of the fastest channel, within the limit.
+    """Return the period of the time base [µs]: as stated, else of the fastest channel.
 
-    The measured rate is rounded (to whole hertz, or whole seconds below 1 Hz), so that a logger's
-    jitter does not give each night a grid of its own. A channel that is sent on change has no rate
-    of its own and counts only where all are; means are not taken apart.
+    The rate is rounded (to whole hertz, or seconds below 1 Hz): a logger's jitter gives no night a
+    grid of its own. A channel that is sent on change counts only where all are; means are not taken
+    apart.
     """
     if settings.rate_hz is not None:
         return round(SECOND_US / settings.rate_hz)
@@ -233,10 +233,7 @@ def _on_one_grid(
 
 
 def between_sessions(channels: Collection[CleanChannel], times_us: Times) -> int:
-    """Return at how many of some times the logger was off: no channel has a sample near.
-
-    Near is what is no gap of the channel that has the shortest.
-    """
+    """Return at how many of some times the logger was off: no channel has a sample near."""
     gaps_us = (channel.longest_gap_us for channel in channels if channel.longest_gap_us)
     longest_us = min(gaps_us, default=np.inf)
     off_us = times_us
@@ -362,10 +359,7 @@ def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGr
 def _fill_even(
     value: Values, channel: CleanChannel, known: Values, grid_start_us: int, period_us: int
 ) -> None:
-    """Fill in stretches of samples in equal steps, of a period of the grid or several.
-
-    The same values as by a search for each time of the grid, which takes several times as long.
-    """
+    """Fill in samples in equal steps: the same values as by a search, in a fraction of the time."""
     time, step_us = channel.time_us, int(channel.period_us or 0)
     apart = step_us // period_us
     edges = channel.steps.uneven

@@ -110,10 +110,7 @@ class Steps:
 
 
 class SharedStamps:
-    """Order and steps of the stamps that the channels of a table have in common.
-
-    Only the last ones are held: channels with stamps of their own would hold all of a day's.
-    """
+    """Order and steps of the stamps that the channels of a table have in common."""
 
     def __init__(self) -> None:
         self._ordered: tuple[Times, Order] | None = None
@@ -133,11 +130,7 @@ class SharedStamps:
 
 
 def backward_time(time_us: Times) -> Mask:
-    """Return samples whose time does not fit an increasing clock.
-
-    The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
-    stamp in the future does not refuse all that follow it.
-    """
+    """Return the fewest samples without which the clock increases."""
     mask = np.zeros(len(time_us), dtype=np.bool_)
     falls = steps_where(lambda steps_us: steps_us < 0, time_us) + 1
     if not len(falls):
@@ -177,12 +170,11 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
 def written_late(
     time_us: Times, backward: Mask, in_order: Times
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return backward samples that can be put back in order, and rows that only seemed to be in it.
+    """Return backward samples that go back in order, and rows that only seemed to be in it.
 
-    Those are put back whose place among the others is free: rows that a logger flushed late, and
-    files whose names do not sort as their times do. A clock that was set back runs over times that
-    are taken, and a row of samples of which any does so is not late; a lone wrong stamp lies
-    near nothing. Neither is restored. `in_order` are the stamps of all samples but the backward.
+    A row that a logger flushed late has a free place among the others. A clock that was set back
+    runs over times that are taken, and a row of samples of which any does so is not late; a lone
+    wrong stamp lies near nothing.
     """
     rows = np.flatnonzero(backward)
     period = Steps.of(in_order).period_us if len(rows) else None

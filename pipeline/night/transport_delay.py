@@ -46,10 +46,7 @@ def drain_line_delay_s(
 def delay_on_grid_s(
     flow_l_per_min: Values, present: Mask, period_s: float, settings: TransportDelay
 ) -> Values:
-    """τ at each sample of the time base, shape (n,) [s]; nan where there is no flow to tell it.
-
-    The flow is averaged first: a pulse meter's single readings may be 0.
-    """
+    """Return τ at each sample, shape (n,) [s], by an average: a pulse meter's readings may be 0."""
     if settings.fixed_s is not None:
         return np.full(len(flow_l_per_min), settings.fixed_s)
     if settings.line_length_m is None or settings.line_inner_diameter_mm is None:
@@ -66,10 +63,7 @@ def delay_on_grid_s(
 
 
 def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
-    """Return a channel of the time base at another time: element i is its value at i + steps[i].
-
-    Steps are periods of the time base; not finite where not known.
-    """
+    """Return a channel of the time base whose element i is its value at i + steps[i]."""
     known = np.isfinite(steps)
     place = np.arange(len(value)) + np.where(known, steps, 0.0)
     left = np.floor(place)
@@ -89,10 +83,7 @@ def delay_inputs(
     period_s: float,
     settings: TransportDelay,
 ) -> tuple[dict[str, Values], dict[str, Mask], Mask, Values]:
-    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t).
-
-    Channels, masks of where they are present, mask of samples with too long a delay, and τ [s].
-    """
+    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t)."""
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= MAXIMUM_DELAY_S)
     usable = np.where(refused, np.nan, tau)

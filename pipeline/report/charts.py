@@ -110,11 +110,7 @@ def watch_chart(
     events: Iterable[Event] = (),
     changes: Iterable[Row] = (),
 ) -> Chart:
-    """What the watch has found over the nights.
-
-    `declared` are the motor's leakage paths, `events` its dated events, `changes` its rows of
-    `alarms`.
-    """
+    """Return what the watch has found over the nights; `declared` are the motor's leakage paths."""
     projection = _projection(motor)
     leakage = _leakage_panel(motor, projection)
     panels = (leakage, _evidence_panel(motor), _gap_panel(motor, declared))
@@ -359,10 +355,7 @@ def _changes(motor: MotorHistory, nights: Sequence[dt.date]) -> list[float | Non
 
 
 def sparkline(motor: MotorHistory, span: tuple[dt.date, dt.date]) -> str:
-    """A motor's leakage at its own conditions as SVG, broken over long gaps; empty without a value.
-
-    `span` are the nights at the edges of the picture, the same for all motors of a fleet.
-    """
+    """Return a motor's leakage as SVG over the fleet's `span`, broken over long gaps."""
     leakage, _, _ = motor.leakage
     known = np.flatnonzero(np.isfinite(leakage))
     if not len(known):

@@ -60,10 +60,7 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
 
 
 def paragraphs(rows: Mapping[str, list[Row]]) -> list[Paragraph]:
-    """Paragraphs on a motor's night from its rows by table, the headline first.
-
-    There is its row of `nights`.
-    """
+    """Return paragraphs on a motor's night from its rows by table, the headline first."""
     (own,) = rows["nights"]
     data = [*_files(rows["log_files"], own["reason"]), *_refusals(rows["quality"])]
     if own["status"] != OK:

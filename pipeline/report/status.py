@@ -71,9 +71,7 @@ def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
 
 
 def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
-    """Yield what stands until somebody acts, in words: nights that failed, or that are published
-    from more than their logs hold by now.
-    """
+    """Yield in words what stands until somebody acts: failed nights, logs that are gone."""
     with read_state_file(output) as state:
         stays, gone = read_stays(state, motor_ids)
         settings = read_settings(state)

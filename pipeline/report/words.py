@@ -41,24 +41,12 @@ def refusal(code: str) -> str:
 
 
 def candidates(causes: Sequence[Mapping[str, Any]] | None) -> list[tuple[str, float]]:
-    """Causes in words with their probabilities, as a row of `nights` lists them.
-
-    Examples
-    --------
-    >>> candidates([{"cause": "balance_sleeve", "probability": 0.93}])
-    [('balance sleeve', 0.93)]
-    """
+    """Return causes in words with their probabilities, as a row of `nights` lists them."""
     return [(cause_words(cause["cause"]), cause["probability"]) for cause in causes or ()]
 
 
 def of_model(model_error_percent: float) -> str:
-    """Verdict on a model by what it misses of the flow.
-
-    Examples
-    --------
-    >>> of_model(0.8)
-    'supported'
-    """
+    """Return the verdict on a model by what it misses of the flow."""
     return model_verdict(model_error_percent / 100.0)
 
 
@@ -81,11 +69,5 @@ def figure(value: float | None, digits: int = 3) -> str:
 def conditions(
     pressure_bar: float | None, temperature_c: float | None, speed_rpm: float | None
 ) -> str:
-    """Conditions of a leakage.
-
-    Examples
-    --------
-    >>> conditions(131.3, 48.62, 24.7)
-    '131 bar, 48.6 °C, 24.7 rpm'
-    """
+    """Return conditions of a leakage in words."""
     return f"{figure(pressure_bar)} bar, {figure(temperature_c)} °C, {figure(speed_rpm)} rpm"

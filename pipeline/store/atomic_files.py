@@ -36,10 +36,7 @@ class Prepared:
     temporary: Path  # the file
 
     def land(self) -> None:
-        """Rename it to its place; its folder is still to be flushed.
-
-        Raises StoreError if that fails; the place then holds the old file, or already the new.
-        """
+        """Rename it to its place; its folder is still to be flushed."""
         with store_errors(self.path):
             try:
                 self.temporary.replace(self.path)
@@ -54,10 +51,7 @@ class Prepared:
 
 
 def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
-    """Write a temporary file in the folder of its place, and flush it.
-
-    Raises StoreError if it cannot be written; nothing is left of it.
-    """
+    """Write a temporary file in the folder of its place, and flush it; a failure leaves none."""
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
     with store_errors(path):
         make_folders(path.parent)
@@ -78,10 +72,8 @@ def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
 def put(path: Path, write: Write, *, durable: bool = True) -> None:
     """Write a file whole or not at all, and the folders above it.
 
-    A file that is not `durable` need not survive a power cut.
-
-    Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
-    its folder, fails, the new file may be there already.
+    One that is not `durable` need not survive a power cut. If only the last flush, of its folder,
+    fails, the new file may be there already.
     """
     prepare(path, write, durable=durable).land()
     if durable:
@@ -143,10 +135,7 @@ def store_errors(path: Path, what: str = "written") -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for a run; the lock ends with the process, however that ends.
-
-    Raises LockedError if another run holds it; StoreError if it cannot be locked.
-    """
+    """Hold a folder for a run; the lock ends with the process, however that ends."""
     holder = (
         f"process {os.getpid()} on {socket.gethostname()} "
         f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"

@@ -1,7 +1,6 @@
 """Heartbeat of a run, ``heartbeat.json`` in the output folder: its progress, for monitors outside.
 
-It is replaced whole at every change of stage, and every `INTERVAL_S` seconds. A
-run that died leaves a last beat that says ``running`` and grows old.
+A run that died leaves a last beat that says ``running`` and grows old.
 """
 
 from __future__ import annotations

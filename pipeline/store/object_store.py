@@ -67,12 +67,7 @@ class ObjectStore:
 
     @classmethod
     def at(cls, url: str) -> ObjectStore:
-        """Return the store at a URL; no request is sent yet.
-
-        Raises StoreError: ``object_store_missing``: the extra is not installed;
-        ``object_store_credentials``: the environment has none; ``object_store_http``: the server
-        has no encryption, and the environment does not allow that.
-        """
+        """Return the store at a URL; no request is sent yet."""
         scheme = url.partition("://")[0]
         try:
             from obstore.store import from_url
@@ -112,10 +107,7 @@ class ObjectStore:
             return bytes(got.bytes())
 
     def fetch(self, stored: StoredObject, stream: BinaryIO) -> None:
-        """Write an object's content to a stream.
-
-        Raises ObjectChangedError if it has changed since it was listed, or is gone.
-        """
+        """Write an object's content to a stream; raises ObjectChangedError if it has changed."""
         from obstore.exceptions import PreconditionError
 
         with self._store_errors(stored.key, "read"):
@@ -193,13 +185,10 @@ def _first_line(error: Exception) -> str:
 
 
 def copy_output(url: str, output: Path) -> None:
-    """Copy new and changed tables of an output folder to a URL.
+    """Copy new and changed tables of an output folder to a URL, under the names of the files.
 
-    Objects have the names of the files. The copy's own `manifest.json` says what is there; it is
-    written last, so a copy that was broken off is completed by the next. The caller holds the
-    folder's lock. Files that are no longer published are removed at the end.
-
-    Raises StoreError if the store refuses a request, or a file is not what was published.
+    The copy's own `manifest.json` is written last, so a copy that was broken off is completed by
+    the next. The caller holds the folder's lock.
     """
     store = ObjectStore.at(url)
     with read_state_file(output) as state:

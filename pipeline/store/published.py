@@ -1,11 +1,8 @@
 """Published table files: the SHA-256 of each, in the state file, proves it, its footer included.
 
-Before a file is put into its place the digest that comes is noted beside its own, afterwards alone:
-wherever a run was broken off, a file is as it was or as it comes, and both are right. Page
-checksums do not cover a footer, and a query engine compares neither. They alone prove a file that
-is not listed, as the state file was lost.
-
-All raise StoreError if the state file cannot be read or written.
+Before a file is put into its place the digest that comes is noted beside its own: wherever a run
+was broken off, a file is as it was or as it comes, and both are right. Page checksums, which do not
+cover a footer, alone prove a file that is not listed, as the state file was lost.
 """
 
 from __future__ import annotations
@@ -106,11 +103,7 @@ def accepted_digests(state: StateDatabase, name: str) -> frozenset[str]:
 
 
 def verify_file(state: StateDatabase, name: str) -> VerifiedFile:
-    """Read a file and compare it.
-
-    With a fault it is read twice: a run may have published it in between, or a read have failed.
-    Raises StoreError (``store_newer``) for an unlisted file of a newer version of the program.
-    """
+    """Read a file and compare it; with a fault twice, as a run may have published it in between."""
     file = _verify(state, name)
     return file if file.fault is None else _verify(state, name)
 
@@ -222,10 +215,7 @@ def require_prunable(tables: Sequence[str]) -> None:
 def old_files(
     output: Path, days: Mapping[str, int], newest_night: dt.date | None
 ) -> tuple[OldFiles, ...]:
-    """Files older than the days of their table, back from the newest night; None: none are.
-
-    A file of a month is as old as the last night of it.
-    """
+    """Return files older than the days of their table; a month is as old as its last night."""
     stale = []
     for table in TABLES:
         if newest_night is None or table.name not in days:

@@ -1,12 +1,8 @@
 """Rows on their way into tables: staged by the tasks of motors, published by the run.
 
-A task leaves its rows in a file. In its first line that has an index: of each table file that
-rows go into the nights, also those without rows, which replace rows of before. An Arrow stream each
-follows.
-
-Month by month the run writes new table files beside their places, flushes and reads them back;
-notes them as coming; renames them; and notes them as published, in one transaction with what the
-caller has to say of them.
+A task leaves its rows in a file: a line with an index, then an Arrow stream for each table file.
+Month by month the run writes new table files beside their places, notes them as coming, renames
+them, and notes them as published in one transaction with what the caller has to say of them.
 """
 
 from __future__ import annotations
@@ -83,10 +79,7 @@ class Staged:
 
 
 def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
-    """Write a motor's rows by table and night; raises StoreError if they cannot be written.
-
-    The folder above the file's must be there.
-    """
+    """Write a motor's rows by table and night; the folder above the file's must be there."""
     streams, index = [], []
     for table, nights in tables.items():
         for label, some in groupby(sorted(nights), partial(label_of, table)):
@@ -168,10 +161,7 @@ class Publisher:
         motor_ids: Collection[str],
         published: Callable[[], object] = lambda: None,
     ) -> None:
-        """Publish what some motors have staged in a folder, the oldest month first.
-
-        `published` is called in the transaction that notes the last files.
-        """
+        """Publish what motors have staged; `published` is called as the last files are noted."""
         staged = staged_in(self.staging / folder, tables, motor_ids)
         months = sorted({label[:7] for _, label in staged})
         self._vacate(staged)
@@ -209,10 +199,7 @@ class Publisher:
         return self._changed(table, label, partial(_with_rows, table, rows, replaced=done))
 
     def _vacate(self, staged: Mapping[tuple[Table, str], Mapping[str, Staged]]) -> None:
-        """Remove rows that move to another month before they are there.
-
-        A key without the night would otherwise be in two files for a moment.
-        """
+        """Remove rows that move to another month first: no key is ever in two files."""
         moving = {key: files for key, files in staged.items() if "night" not in key[0].key}
         if len(moving) < 2:
             return

@@ -1,11 +1,8 @@
 """The state of an output folder: one SQLite file, `state.db`, with all that is no analyst's table.
 
-Logs and nights that were done, trends, published files, what waits for receivers, and people's
-decisions. One process at a time, the holder of the run's lock, writes all but the decisions and
-what the intraday check delivers. Workers never open it: SQLite's log does not work across machines.
-
-It can be lost. The run then begins anew: the logs and tables give the same tables again, and the
-table `decisions` what people have said.
+The holder of the run's lock writes all but the decisions and what the intraday check delivers.
+Workers never open it: SQLite's log does not work across machines. It can be lost: the logs and
+tables give the same tables again, and the table `decisions` what people have said.
 """
 
 from __future__ import annotations
@@ -109,10 +106,7 @@ class StateDatabase:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Changes that are all done, on the disk, or none; a change within another is part of it.
-
-        Raises StoreError if they cannot be written.
-        """
+        """Do changes whole, on the disk, or not at all; one within another is part of it."""
         if self._connection.in_transaction:
             yield
             return
@@ -137,11 +131,7 @@ def _errors(code: str) -> Iterator[None]:
 
 @contextmanager
 def open_state(output: Path) -> Iterator[StateDatabase]:
-    """Open the state file for changes; it is made where there is none.
-
-    Raises StoreError: ``store_write``; ``store_newer``, ``store_older``: it is of another version
-    of the program.
-    """
+    """Open the state file for changes; it is made where there is none."""
     with store_errors(output):
         make_folders(output)
     with _errors("store_write"):
@@ -164,10 +154,7 @@ def open_state(output: Path) -> Iterator[StateDatabase]:
 
 @contextmanager
 def read_state_file(output: Path) -> Iterator[StateDatabase]:
-    """Open the state file for reading; an empty state where there is none.
-
-    Raises StoreError as `open_state`.
-    """
+    """Open the state file for reading; an empty state where there is none."""
     place = (output / STATE_FILE).resolve()
     with ExitStack() as stack:
         with _errors("store_read"):
@@ -216,12 +203,7 @@ def _version(state: StateDatabase) -> int:
 
 
 def make_ready(output: Path, newest_run: Mapping[str, Any] | None = None) -> None:
-    """At a run's start: put aside a damaged state file, or an output of an earlier version.
-
-    A state that knows nothing of the `newest_run` in the tables was restored, and is as good as
-    damaged. What is gone is then made anew. Wherever that is broken off, the next run goes
-    on. Raises StoreError if a file cannot be moved, or is of a newer version of the program.
-    """
+    """Put aside a damaged or older state file, or an output of an earlier version."""
     version = _version_of(output / STATE_FILE)
     if version is None:
         _put_aside(output, STATE_FILES, f"{STATE_FILE} is damaged, and made anew from the tables")
@@ -254,10 +236,7 @@ def is_sound(output: Path) -> bool:
 
 
 def _version_of(place: Path) -> int | None:
-    """Return version of a file; 0 where there is none or it is empty, None where it is damaged.
-
-    Raises StoreError (``store_newer``).
-    """
+    """Return version of a file; 0 where there is none or it is empty, None where it is damaged."""
     if not place.exists():
         return 0
     try:

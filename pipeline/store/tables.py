@@ -1,11 +1,7 @@
 """Tables on disk: Parquet files of a month, or of a night, each replaced whole or not at all.
 
-Rows of a night lie together in its month's file. A reader sees a file as it was or as it is: the
-checksums of its pages are compared, and the run proves files by their SHA-256.
-
-All that read raise StoreError: ``store_read``: a file is damaged, or a folder cannot be listed;
-``store_newer``: a file is of a newer version of the program. Columns that an older file lacks are
-null.
+A file that is damaged, or of a newer version of the program, raises StoreError; columns that an
+older file lacks are null.
 """
 
 from __future__ import annotations
@@ -73,13 +69,7 @@ def name_of(output: Path, path: Path) -> str:
 
 
 def days_of(label: str) -> list[dt.date]:
-    """Nights that a file's name says: one, or all of a month; raises ValueError if it is neither.
-
-    Examples
-    --------
-    >>> days_of("2026-02-03"), len(days_of("2026-02"))
-    ([datetime.date(2026, 2, 3)], 28)
-    """
+    """Return nights of a file's name, 2026-02-03 or all of 2026-02; else raise ValueError."""
     if len(label) > len("2026-02"):
         return [dt.date.fromisoformat(label)]
     first = dt.date.fromisoformat(f"{label}-01")
@@ -99,10 +89,7 @@ def is_named_as_ours(path: Path) -> bool:
 
 
 def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = None) -> list[Path]:
-    """Return files of a table in time order: all, or those that may have some nights.
-
-    Files of other names are left out.
-    """
+    """Return files of a table in time order: all, or those that may have some nights."""
     whole = whole_file(output, table)
     if whole.exists():
         return [whole]

@@ -30,9 +30,8 @@ def what_of(row: Mapping[str, Any]) -> str:
 def alarm_rows(states: Mapping[str, Sequence[Row]], published: Sequence[Row]) -> list[Row]:
     """Return changes of state in some nights, together with what had been raised in them before.
 
-    `states` has by what they are of the states in nights in a row, up to the motor's last, in the
-    columns of `nights`; `published` are all rows of the motor so far: those of the nights before
-    say which state was reported last.
+    `states` has by what they are of the states in nights in a row, up to the motor's last;
+    `published` are all rows of the motor so far.
     """
     known: dict[str, dict[dt.date, Row]] = {name: {} for name in states}
     for row in published:
@@ -111,11 +110,7 @@ def new_rows(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
 def without_past(
     rows: Sequence[Row], new: Sequence[Row], published: Sequence[Row], last_night: dt.date
 ) -> list[Row]:
-    """Return the new rows that people are notified of.
-
-    Of past nights, up to the last that was reported, these are the rows of the state that is
-    in force now, where it is another than that reported last.
-    """
+    """Return the new rows to notify people of: of past nights those of the state in force."""
     newest = {what_of(row): row for row in rows if row["night"] <= last_night}
     notified = []
     for row in new:

@@ -1,8 +1,4 @@
-"""A motor's checkpoint for the next run: a record of each of its nights, and its watch's state.
-
-It only saves work: without it the watch begins with the baseline period's first night, by the
-stored blocks, and the same trends come out.
-"""
+"""A motor's checkpoint for the next run: it saves work, and stored blocks give the same."""
 
 from __future__ import annotations
 

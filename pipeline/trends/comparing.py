@@ -27,10 +27,9 @@ EVEN = 0.5
 def compare_nights(
     output: Path, spec: MotorSpec, at: dt.date, most: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """Compare a motor's nights from a date on with those before, so many on each side at most.
+    """Compare a motor's nights from a date on with those before, as plain data and in lines.
 
-    None beyond another event that begins a baseline. Returns the comparison as plain data, and
-    what is reported of it in lines.
+    At most so many on each side, none beyond another event that begins a baseline.
     """
     with read_state_file(output) as state:
         spec = as_published(spec, read_settings(state).get(spec.motor_id))

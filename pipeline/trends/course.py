@@ -37,10 +37,7 @@ STORED_BASELINE = TypeAdapter(Baseline)
 
 @dataclass(slots=True)
 class Course:
-    """A motor's nights, as far as its watch has taken them.
-
-    `figures` are those of `WATCHED` by place, shape (n, 2).
-    """
+    """A motor's nights, as far as its watch has taken them."""
 
     output: Path
     nights: PublishedNights

@@ -92,9 +92,7 @@ class MotorState:
 
     @property
     def headline(self) -> str:
-        """The same, since when, and the part; the sentence where it says more: a rise within the
-        day, no data, no change known.
-        """
+        """The same, since when, and the part; the sentence where that says more."""
         is_present = not self.is_sudden and self.state not in (STALE, REMOVED)
         return (headline(self.row) if is_present else "") or self.sentence
 
@@ -191,9 +189,7 @@ def with_acknowledgement(row: Row, decisions: Sequence[Decision]) -> Row:
 
 
 def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()) -> list[Row]:
-    """Rows of `latest` of some motors, and of those that are gone; raises StoreError if a table is
-    damaged.
-    """
+    """Return rows of `latest` of some motors, and of those that are gone."""
     every = [*motor_ids, *gone]
     nights = read_rows(output, NIGHTS, every).drop("run_id").sort("night")
     last, data, fitted = (
@@ -247,12 +243,7 @@ def is_confirmed(row: Row, decisions: Sequence[Decision]) -> bool:
 
 
 def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
-    """States of some motors, and of those that are gone, as the last run left them, with what was
-    said of them since.
-
-    Without a table `latest` that is whole they are made from the other tables; raises StoreError if
-    any of these is damaged.
-    """
+    """Return states of motors, and of those gone, by `latest`, else by the other tables."""
     try:
         rows = read_table(whole_file(output, LATEST), LATEST).drop("run_id")
     except StoreError as error:

@@ -168,10 +168,10 @@ def with_state(night: NightState) -> NightState:
 
 
 def _as_shown(change: Change, night: NightState) -> Change:
-    """A change as people see it: causes that the nights cannot tell apart are one (model.md, 7c.4).
+    """Return a change as people see it: causes that nothing tells apart are one (model.md, 7c.4).
 
     A motor that the model does not describe names no part. Another oil is among what moves all
-    flows, where they are alike.
+    flows.
     """
     assert night.watch is not None
     assert night.verdict is not None

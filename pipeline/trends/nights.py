@@ -87,11 +87,10 @@ OTHER_SETTINGS = "other settings from"
 
 @dataclass
 class PublishedNights:
-    """A motor's nights as they are published, a record each, increasing.
+    """A motor's nights as they are published, a record each, those without a log as well.
 
-    A night that no log covers is a night: what a run said of it then is said of it later, too.
-    The watch goes over the nights from `beginning` on, be it for the other motors of its oil
-    circuit alone; None where nobody needs it. `resumes`: it goes on from the checkpoint.
+    The watch goes over the nights from `beginning` on; None where nobody needs it. `resumes`: it
+    goes on from the checkpoint.
     """
 
     motor: TrendMotor
@@ -149,9 +148,7 @@ class PublishedNights:
         return int(np.searchsorted(self.records["night"], np.datetime64(date)))
 
     def running_hours(self, end: int) -> Array:
-        """Return running hours since the first night at the end of each up to a place.
-
-        Nights without a log take the mean of the 30 before."""
+        """Return running hours since the first night; without a log the mean of the 30 before."""
         hours: Array = self.records["running_hours"][:end]
         logged = np.isfinite(hours)
         sums = np.concatenate([[0.0], np.cumsum(hours[logged])])
@@ -309,10 +306,7 @@ def _records(nights: PublishedNights) -> Records:
 
 
 def _beginning(nights: PublishedNights, first: dt.date) -> tuple[dt.date, bool]:
-    """Return the night from which on a watch has to go to know a first night and those after it.
-
-    And whether it goes on from the checkpoint.
-    """
+    """Return the night from which on a watch has to go, and whether the checkpoint leads there."""
     checkpoint = nights.checkpoint
     if checkpoint is None:
         return nights.labels[0], False
@@ -371,11 +365,7 @@ def _night_blocks(watch_columns: WatchColumns, stored: StoredBlocks | None) -> N
 
 
 def every_night(records: Records, until: dt.date) -> Records:
-    """Return records of every night up to a day, those without a row as well.
-
-    Of a motor that has been silent for long nothing is said any more: a clock was wrong, or it is
-    gone.
-    """
+    """Return records of every night up to a day, but for those behind a long silence."""
     known = records[records["known"] & (records["night"] <= np.datetime64(until))]
     if not len(known):
         return known
@@ -439,9 +429,7 @@ def period_at(periods: tuple[BaselinePeriod, ...], place: int) -> BaselinePeriod
 def _changed_settings(spec: MotorSpec, records: Records) -> list[tuple[dt.date, str]]:
     """Return nights whose statistics were shaped by other settings than those before.
 
-    A changed setting makes all nights anew whose logs are there; where they are not, the flows
-    before and after cannot be compared. The oil is dated by an event of its own, and periods set
-    by hand are of their night alone.
+    The oil is dated by an event of its own, and periods set by hand are of their night alone.
     """
     known = records[records["model"] != b""]
     if len(np.unique(known["model"])) < 2:

@@ -70,33 +70,13 @@ TO_THE_DAY = 60
 
 
 def day(date: object) -> str:
-    """Return a date for people.
-
-    Examples
-    --------
-    >>> import datetime as dt
-    >>> day(dt.date(2026, 10, 3))
-    '3 October 2026'
-    """
+    """Return a date for people, such as 3 October 2026."""
     label = dt.date.fromisoformat(str(date)[:10])
     return f"{label.day} {label:%B %Y}"
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:
-    """Dates between which a row of `trends` has its limit reached; empty without an earliest.
-
-    Examples
-    --------
-    >>> import datetime as dt
-    >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
-    >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
-    'not before August 2027'
-    >>> limit_dates(row | {"days_to_limit_lower": 0.4, "days_to_limit_upper": None})
-    ''
-    >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
-    >>> limit_dates(row | {"days_to_limit_lower": 20.0})
-    'between 23 October 2026 and April 2027'
-    """
+    """Return dates between which a row reaches its limit; empty without an earliest."""
     if row["days_to_limit_status"] not in DATED:
         return ""
     earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
@@ -113,11 +93,7 @@ def _date_ahead(night: dt.date, days: float) -> str:
 
 
 def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[str]) -> str:
-    """Return a motor's sentence of a night: what, how much, since when, what else it could be.
-
-    `quiet_since`: since when no change has been reported, None without a baseline; `drifts`: zeros
-    of sensors that have moved, in words.
-    """
+    """Return a motor's sentence of a night: what, how much, since when, what else it could be."""
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
         last = night.night - dt.timedelta(days=night.silent)
@@ -316,18 +292,7 @@ def change_of(row: Mapping[str, Any], name: str = "leakage_change") -> str:
 
 
 def change_in_force(row: Mapping[str, Any]) -> str:
-    """Return the change of a row of `nights` that its state rests on; empty where there is none.
-
-    That of the newest night, or the mean since the onset where the newest night alone shows none.
-
-    Examples
-    --------
-    >>> row = {"onset": "2026-02-03", "leakage_change_percent": 2.0}
-    >>> row |= {"leakage_change_lower": -0.5, "leakage_change_upper": 4.5}
-    >>> row |= {f"mean_change_{end}": of for end, of in (("percent", 3.0), ("lower", 1.0))}
-    >>> change_in_force(row | {"mean_change_upper": 5.0})
-    '+3.0 % [1.0, 5.0] on average'
-    """
+    """Return the change of the newest night, or the mean since the onset where that shows none."""
     newest = change_of(row)
     if newest and row["onset"] and _may_be_zero(row, "leakage_change"):
         mean = change_of(row, "mean_change")
@@ -340,16 +305,7 @@ def _may_be_zero(row: Mapping[str, Any], name: str) -> bool:
 
 
 def headline(row: Mapping[str, Any]) -> str:
-    """Return the change of a row of `nights`, since when, and the part; empty without a change.
-
-    Examples
-    --------
-    >>> ends = ("percent", "lower", "upper")
-    >>> row = {f"leakage_change_{end}": of for end, of in zip(ends, (42.8, 38.5, 47.1))}
-    >>> row |= {"cause": "not_identified", "onset": "2026-02-03"}
-    >>> headline(row)
-    'leakage +43 % [38, 47] since 3 February 2026, part not identified'
-    """
+    """Return the change of a row of `nights`, since when, and the part; empty without a change."""
     if not (size := change_in_force(row)):
         return ""
     quantity = "case drain flow" if row["cause"] in NO_LEAKAGE else "leakage"

@@ -118,10 +118,7 @@ def _advance(
 def _stage_motor(
     task: TrendTask, trends: MotorTrends
 ) -> tuple[Record, list[Row], list[Row]] | None:
-    """Stage a motor's rows and its checkpoint.
-
-    Its record, new alarms, and those of them that people are notified of.
-    """
+    """Stage a motor's rows and checkpoint; return its record, new alarms, those to notify of."""
     nights, labels = trends.course.nights, trends.nights
     motor, motor_id = nights.motor, nights.spec.motor_id
     if not labels:

@@ -40,10 +40,7 @@ class Record:
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
-    """Return hash of all settings that shape a motor's trends: its own config and decisions.
-
-    Those of its circuit's other motors are no reason to make its trends anew.
-    """
+    """Return hash of what shapes a motor's trends: its config and decisions, not its circuit's."""
     resets = [
         (decision.night.isoformat(), decision.indicator, decision.note)
         for decision in decisions
@@ -86,9 +83,7 @@ def write_record(
 
 
 def note_touched(state: StateDatabase, touched: Iterable[tuple[str, dt.date]]) -> None:
-    """Mark motors' trends from a night on as out of date, before their rows change.
-
-    If the run is broken off before its trends, the next makes them."""
+    """Mark motors' trends from a night on as out of date, before their rows change."""
     state.write_all(
         "UPDATE trends SET redo_from = min(coalesce(redo_from, ?2), ?2)"
         " WHERE motor_id = ?1 AND last_night >= ?2",
@@ -108,8 +103,7 @@ def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
 class TrendMotor:
     """A motor of a task, and what is known of it before its nights are read.
 
-    `first` and `until` are the first and the last night whose trends are made; without `first`
-    none are, and the motor is only seen by the others of its oil circuit.
+    Trends are made from `first` to `until`; without `first` others of its circuit see it alone.
     """
 
     spec: MotorSpec  # as its fits are published
@@ -153,10 +147,9 @@ def with_spans(
 ) -> Circuit:
     """Return a circuit's motors with the nights whose trends are to be made.
 
-    `changed_from` has the first night with new rows of each motor that was asked for, or None.
-    To be made are new nights, and those from the first on that a late log of any motor has touched:
-    what one does says what moves all. All of them where a motor's own settings, events or resets
-    changed; that touches no other. A motor that was not asked for gets no new nights.
+    `changed_from` has the first night with new rows of each motor that was asked for, or None. To
+    be made are new nights, and those that a late log of any motor has touched: what one does says
+    what moves all. All of them where a motor's own settings, events or resets changed.
     """
     touched = [
         night
@@ -210,8 +203,8 @@ def newest_night_of(
 ) -> NewestNight | None:
     """Return newest night, be its row published or not; None where no motor has kept a sample.
 
-    A night known of an unreadable log only, or that lies in the future, after `latest`, is not
-    in the newest night: it would make every other motor silent since."""
+    One that lies in the future, after `latest`, would make every other motor silent since.
+    """
     further: dict[str, dt.date] = {}
     columns = ("motor_id", "status", "last_sample")
     unpublished: defaultdict[dt.date, dict[str, tuple[Any, ...]]] = defaultdict(dict)
@@ -276,7 +269,7 @@ def trend_tasks(
 ) -> Iterator[TrendTask]:
     """Yield tasks of whole circuits with nights to be made, of about so many motors each.
 
-    What a task needs of the state file is read when it is drawn: together it may not fit into the
+    What a task needs of the state file is read when it is drawn: together it may not fit into
     memory.
     """
     records, settings = read_records(state), read_settings(state)

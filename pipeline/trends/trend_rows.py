@@ -43,9 +43,8 @@ def trend_rows(course: Course, night: NightState, zeros: Mapping[str, Zero]) -> 
 def leakage_rows(course: Course, night: NightState) -> tuple[list[Row], Row]:
     """Return rows of the two leakages with their slopes, and columns of `nights` on their limit.
 
-    The limit is that of the figure that alarms: the leakage at the usual operating point at the
-    alarm level, and that at the reference conditions where the motor type states them; the days are
-    those of the first that comes. What is no wear has none.
+    The limit is that of the figure that alarms; the days are those of the first that comes. What is
+    no wear has none.
     """
     stated = night.spec.motor_type.limits.alarm_l_per_min
     rise = 1.0 + night.spec.settings.alarms.alarm_percent / 100.0
@@ -88,10 +87,9 @@ def _frozen(night: NightState, name: str) -> float | None:
 
 
 def _line(course: Course, night: NightState, name: str, limit: float | None) -> tuple[Row, Row]:
-    """Return slopes of a leakage as of a night, and the days to its limit, if it has one.
+    """Return slopes of a leakage since the change in force or the baseline, and days to its limit.
 
-    Where a change is in force, of the nights since it began: a line across a step, or across
-    nights before a wear began, is none. Without a change, since the baseline began.
+    A line across a step, or across nights before a wear began, is none.
     """
     nights, first, end = course.nights, night.period.first, night.place + 1
     if night.change is not None:
@@ -113,8 +111,7 @@ def _line(course: Course, night: NightState, name: str, limit: float | None) -> 
 def _days(nights: NDArray[np.int64], hours: Array, series: Array, limit: float) -> Row:
     """Return days to a limit: the fit goes by running hours, and the days by the hours of a night.
 
-    Those of the last month and of all nights may differ; the earliest date takes the larger, the
-    latest the smaller.
+    Of those of the last month and of all nights the earliest date takes the larger.
     """
     every, recent = (
         float(np.ptp(hours[part])) / max(int(np.ptp(nights[part])), 1)

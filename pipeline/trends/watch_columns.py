@@ -72,11 +72,7 @@ class WatchColumns:
         return tuple(path for path, name in pairs if name.startswith(LOSS_FACTOR))
 
     def machine(self, spec: MotorSpec, night: dt.date) -> Machine:
-        """Return the motor in a baseline period that begins with a night.
-
-        An oil that is measured is no other grade, and corrects itself where the temperature is
-        wrong.
-        """
+        """Return the motor in a baseline period; an oil that is measured is no other grade."""
         is_logged = any(name in spec.file.channels for name in VISCOSITIES)
         if is_logged or spec.measured_curve(night) is not None:
             return Machine(self.watched, self.gaps)
@@ -116,10 +112,7 @@ class WatchColumns:
         )
 
     def drives_at(self, spec: MotorSpec, night: dt.date, at: Conditions) -> Array | str:
-        """Return flow a unit of each coefficient at some conditions, without the flushing.
-
-        A text where the model does not hold there, which says why.
-        """
+        """Return flow a unit of each coefficient without flushing; a text where the model fails."""
         try:
             row = regressors(spec.motor(night, spec.file.flushing.mode), at.operating)
         except LeakageError as error:

@@ -62,10 +62,7 @@ class Zero:
         )
 
     def is_notice(self, course: Course, night: NightState) -> bool:
-        """Return whether nothing is to be done about a sensor that has drifted (issue 49.8).
-
-        A pressure zero is work once it moves the leakage by more than the interval of its change.
-        """
+        """Return True until a pressure zero moves the leakage beyond its interval (issue 49.8)."""
         baseline, verdict, place = night.baseline, night.verdict, night.place
         if self.name != PRESSURE_ZERO or self.state[place] != "warning":
             return False
