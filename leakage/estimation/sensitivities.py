@@ -53,8 +53,6 @@ class Tolerances:
     # pressure_viscosity, density: Of the oil's α and density, relative.
     pressure_viscosity: float = 0.0
     density: float = 0.0
-    # Of the share of the pressure difference in the film, absolute.
-    film_pressure_share: float = 0.0
     # Of charge above case pressure, where leakage is two-sided [bar].
     charge_pressure_bar: float = 0.0
 
@@ -79,7 +77,6 @@ class Source:
     tolerance: float
     unit: str
     disturbed: Disturbance  # the window as it would be with that error
-    sign: float = 1.0  # −1 where the error can only be put on downwards
 
 
 def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
@@ -97,14 +94,6 @@ def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
         if relative := getattr(tolerances, share):
             oil = replace(motor.oil, **{constant: getattr(motor.oil, constant) * (1 + relative)})
             yield Source(name, relative, "1", _with(replace(motor, oil=oil)))
-    if tolerances.film_pressure_share and motor.film_pressure.model == "thesis":
-        step = tolerances.film_pressure_share
-        # A share lies within 0 and 1: at the upper end the step goes down.
-        sign = 1.0 if motor.film_pressure.share + step <= 1.0 else -1.0
-        film = motor.film_pressure
-        film = replace(film, share=max(film.share + sign * step, 0.0))
-        off = _with(replace(motor, film_pressure=film))
-        yield Source("film pressure share", step, "1", off, sign)
     if bar := tolerances.charge_pressure_bar:
         off = _with_reading("charge_over_case_pa", bar * PASCALS_PER_BAR, 0.0)
         yield Source("charge pressure", bar, "bar", off)
@@ -218,7 +207,7 @@ def error_budget(
     leakages = np.einsum("smp,sp->sm", asked[:, :, :-2], thetas[:, :-1]) + asked[:, :, -1]
     return ErrorBudget(
         tuple(
-            Effect(source, source.sign * (theta - thetas[0]), source.sign * (leakage - leakages[0]))
+            Effect(source, theta - thetas[0], leakage - leakages[0])
             for source, theta, leakage in zip(known, thetas[1:], leakages[1:], strict=True)
         )
     )
@@ -267,15 +256,14 @@ def effects_elsewhere(
         was = regressors(motor, at)[0]
         now = np.array([regressors(of, at)[0] for of in disturbed]).reshape(-1, len(was))
         moved = [
-            row[:-2] @ (source.sign * effects[source.name][0][:-1]) + row[-1] - was[-1]
+            row[:-2] @ effects[source.name][0][:-1] + row[-1] - was[-1]
             for source, row in zip(known, now, strict=True)
         ]
         return now[:, :-2] - was[:-2], np.array(moved)
 
-    signs = np.array([source.sign for source in known])
     slopes, moved = changes(before)
-    unexplained = signs * [effects[source.name][1] for source in known] - moved - slopes @ theta
+    unexplained = [effects[source.name][1] for source in known] - moved - slopes @ theta
     theta = theta * (1.0 + np.linalg.lstsq(slopes * theta, unexplained)[0])
     slopes, moved = changes(after)
-    effects_after = signs * (slopes @ theta + moved)
+    effects_after = slopes @ theta + moved
     return dict(zip((source.name for source in known), effects_after.tolist(), strict=True))

@@ -90,7 +90,7 @@ def load_fleet(path: Path) -> Fleet:
             message = "no motor is of this oil circuit; expected the name that a motor's file has"
             faults.append(Fault(f"oil_circuits/{name}.toml", "", message))
     if not motors.documents and not faults:
-        faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
+        faults.append(Fault("motors", "", "expected at least one motor's file"))
     if faults or fleet is None:
         own = {f"motors/{name}.toml": document for name, document in motors.own.items()}
         raise ConfigError(_at_their_place(faults, own, defaults, path.name))
@@ -145,8 +145,7 @@ def _settings(
     settings = checked.override
     model = settings.model
     if model.two_sided is None:
-        two_sided = is_two_sided or model.charge_pressure_bar > 0.0
-        model = model.model_copy(update={"two_sided": two_sided})
+        model = model.model_copy(update={"two_sided": is_two_sided})
     return settings.model_copy(update={"model": model})
 
 

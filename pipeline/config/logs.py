@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from pipeline.config.dialect import FieldText, FormatName, TimeFormat
-from pipeline.config.section import Misfit, NonNegative, Section, Stage, TimeZone
+from pipeline.config.section import Misfit, Section, Stage, TimeZone
 
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
@@ -93,12 +93,8 @@ class Logs(Section):
     """CSV: lines after the header without samples."""
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
     """CSV: content of a cell without a value."""
-    settle_s: Annotated[NonNegative, Stage.NOTHING] = 0.0
-    """A file written to within this time is left for later."""
     stamp: FieldText = ""
     """MCAP: path of the time stamp in the message, such as `header.stamp`."""
-    salvage: bool = False
-    """MCAP: read a damaged file up to the damage."""
 
     def misfits(self) -> Iterator[Misfit]:
         separator, thousands = self.separator, self.thousands

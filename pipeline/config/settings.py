@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
@@ -24,7 +24,6 @@ from pipeline.config.section import (
 )
 
 Rate = Annotated[float, Field(gt=0, le=1000)]
-InputName = Literal["pressure_difference", "oil_temperature", "speed"]
 RelativeFolder = Annotated[str, Field(min_length=1)]
 # Length of a block of statistics: no moving average reaches beyond it [s].
 BLOCK_S = 120.0
@@ -87,13 +86,8 @@ class TransportDelay(Section):
     """Length of the drain line, whose volume over the drain flow is the delay."""
     line_inner_diameter_mm: Positive | None = None
     """Inner diameter of the drain line."""
-    lagging: tuple[InputName, ...] = ()
-    """Inputs measured in the line, which are paired at t + τ with a drain flow that comes at once;
-    without any, all inputs are paired at t − τ."""
 
     def misfits(self) -> Iterator[Misfit]:
-        if self.lagging and not self.is_on:
-            yield self.at("lagging", "expected a delay beside")
         if (self.line_length_m is None) != (self.line_inner_diameter_mm is None):
             yield (), "expected line_length_m and line_inner_diameter_mm together", None
         if self.fixed_s is not None and self.line_length_m is not None:
@@ -112,12 +106,6 @@ class TransportDelay(Section):
     def of_all_inputs(self, delay_s: float) -> TransportDelay:
         """Return the same with a delay of the drain flow against all inputs."""
         return self.model_copy(update={"fixed_s": delay_s})
-
-    @property
-    def steps(self) -> dict[str, int]:
-        """Sign of τ by input: + of an input that lags the drain flow."""
-        inputs: tuple[str, ...] = self.lagging or get_args(InputName)
-        return dict.fromkeys(inputs, 1 if self.lagging else -1)
 
 
 class Smoothing(Section):
@@ -160,16 +148,9 @@ class Model(Section):
     """Barus viscosity at a share of the pressure (`thesis`) or exact slot flow (`slot`)."""
     film_pressure_share: NonNegative = Field(1.0, le=1)
     """`thesis`: share of the pressure difference in the film."""
-    film_pressure_share_tolerance: Annotated[NonNegative, Stage.FIGURES] = Field(0.0, le=1)
-    """Tolerance of that share."""
     two_sided: bool | None = None
-    """Paths leak from both sides; by default where the low pressure is known."""
-    charge_pressure_bar: NonNegative = 0.0
-    """Low-port pressure without a channel of it."""
-    case_pressure_bar: NonNegative = 0.0
-    """Case pressure without a channel of it."""
-    charge_pressure_tolerance_bar: Annotated[NonNegative, Stage.FIGURES] = 0.0
-    """Tolerance of charge − case pressure."""
+    """Paths leak from both sides; by default where the low pressure is known by a channel, be it a
+    constant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,8 +204,6 @@ class Folders(Section):
 
     shapes = Stage.NOTHING
 
-    motors: RelativeFolder = "motors"
-    """Folder of the motors' files."""
     logs: RelativeFolder = "../logs"
     """Root of the logs, a folder or a URL such as s3://bucket/logs."""
     output: RelativeFolder | None = None

@@ -131,6 +131,7 @@ def _columns(recording: Recording, motor: MotorFile) -> dict[str, FloatArray]:
     return {
         channel.source: as_logged(name, recording.values[name], channel)
         for name, channel in motor.channels.items()
+        if channel.constant is None
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import stat
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -65,18 +64,6 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
     is_longer = now.size != record.size
     how = f"it went from {record.size} to {now.size} bytes" if is_longer else "it changed"
     return LogError("log_growing", path, f"{how} while it was read; the next run reads it")
-
-
-def unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
-    """Return reason to leave a file that was just written to to a later run; None without any."""
-    age_s = (time.time_ns() - record.modified_ns) / 1e9
-    # A clock that is far ahead must not keep a file out for good.
-    if abs(age_s) >= settle_s:
-        return None
-    ago = f"it was written to {max(age_s, 0.0):.0f} s ago"
-    return LogError(
-        "log_growing", path, f"{ago}, and logs.settle_s is {settle_s:g}; a later run reads it"
-    )
 
 
 def stat_log(name: str, path: Path) -> FileRecord:

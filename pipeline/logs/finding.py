@@ -33,7 +33,7 @@ import pyarrow.parquet as pq
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import LogError, one_line
-from pipeline.logs.files import change_of, failed, inspect_log, stat_log, unsettled
+from pipeline.logs.files import change_of, failed, inspect_log, stat_log
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -270,7 +270,7 @@ class FolderLogs:
         except LogError as error:
             return failed(record, error)
         new = inspect_log(record, path, before, self._spec, self._latest_us)
-        why = unsettled(record, path, self._spec.file.logs.settle_s) or self.change_of(record)
+        why = self.change_of(record)
         return new if why is None else failed(new, why)
 
     def _seen(self, name: str) -> FileRecord:

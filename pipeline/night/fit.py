@@ -323,7 +323,7 @@ def _budget_rows(
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
     """Return tolerances of channels, oil and model; of two ports the difference's, by squares."""
-    oil, model = spec.oil_on(night), spec.settings.model
+    oil, charge = spec.oil_on(night), spec.file.channels.get("charge_pressure")
     return Tolerances(
         pressure_bar=_of(spec, "pressure_difference"),
         temperature_c=_of(spec, "oil_temperature"),
@@ -331,8 +331,7 @@ def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
         flow_l_per_min=_of(spec, "leakage_flow"),
         pressure_viscosity=oil.pressure_viscosity_tolerance_percent / 100,
         density=oil.density_tolerance_percent / 100,
-        film_pressure_share=model.film_pressure_share_tolerance,
-        charge_pressure_bar=model.charge_pressure_tolerance_bar,
+        charge_pressure_bar=charge.offset_tolerance if charge else 0.0,
     )
 
 

@@ -37,7 +37,6 @@ def zeros_of_halts(
     grid_us: Times,
     channels: Mapping[str, CleanChannel],
     settings: SensorHealth,
-    case_bar: float = 0.0,
 ) -> tuple[Zero | None, Zero | None]:
     """Return the zeros of the pressure difference and the drain flow; None where no halt shows it.
 
@@ -62,24 +61,20 @@ def zeros_of_halts(
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
         if abs(bar) <= DEPRESSURISED_BELOW_BAR:
             pressures.append(bar)
-            if _is_relieved(channels, (begin, end), settings, case_bar):
+            if _is_relieved(channels, (begin, end), settings):
                 flows.append(float(np.median(flow)))
     return _zero(pressures), _zero(flows)
 
 
 def _is_relieved(
-    channels: Mapping[str, CleanChannel],
-    halt: tuple[int, int],
-    settings: SensorHealth,
-    case_bar: float,
+    channels: Mapping[str, CleanChannel], halt: tuple[int, int], settings: SensorHealth
 ) -> bool:
     """Return True if the low side is known to be near case pressure, and the other port with it."""
     low = next((name for name in LOW_SIDE if name in channels), None)
     if settings.without_pressure_at_halts or low is None:
         return settings.without_pressure_at_halts
-    port, case = _readings(channels[low], *halt), np.array([case_bar])
-    if CASE in channels:
-        case = _readings(channels[CASE], *halt)
+    port = _readings(channels[low], *halt)
+    case = _readings(channels[CASE], *halt) if CASE in channels else np.zeros(1)
     if not len(port) or not len(case):
         return False
     return bool(abs(np.median(port) - np.median(case)) <= DEPRESSURISED_BELOW_BAR)

@@ -135,7 +135,7 @@ def block_rows(
     ):
         columns |= _spread(name, unit, values, rows, edges)
     if spec.settings.model.two_sided:
-        charge = charge_over_case_bar(spec.settings.model, samples)
+        charge = charge_over_case_bar(samples)
         columns["mean_charge_over_case_bar"] = [float(charge[row].mean()) for row in rows]
     if viscosity is not None:
         columns["viscosity_ratio"] = [

@@ -21,7 +21,6 @@ from leakage.physics.oil import Oil, density_kg_per_m3, kinematic_viscosity_mm2_
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
-from pipeline.config.settings import Model
 from pipeline.night.time_base import VISCOSITIES, Insufficient, Samples
 from pipeline.schema.fits import INSUFFICIENT_DATA
 
@@ -87,21 +86,18 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
         np.abs(samples.pressure_difference_bar),
         samples.oil_temperature_c,
         np.abs(samples.speed_rpm),
-        charge_over_case_bar(spec.settings.model, samples)
-        if spec.settings.model.two_sided
-        else None,
+        charge_over_case_bar(samples) if spec.settings.model.two_sided else None,
     )
 
 
-def charge_over_case_bar(model: Model, samples: Samples) -> Array:
-    """Return charge above case pressure: from channels where logged, else as configured."""
-    logged = samples.low_pressures_bar
-    constant = np.full(len(samples.index), model.charge_pressure_bar)
-    if (low_port := logged.get("low_port_pressure")) is not None:
+def charge_over_case_bar(samples: Samples) -> Array:
+    """Return charge above case pressure by the channels that know it; 0 for those that do not."""
+    known, none = samples.low_pressures_bar, np.zeros(len(samples.index))
+    low = none
+    if (low_port := known.get("low_port_pressure")) is not None:
         # Under back-drive the ports change sides.
-        constant = low_port + np.minimum(samples.pressure_difference_bar, 0.0)
-    charge = logged.get("charge_pressure", constant)
-    case = logged.get("case_pressure", np.full(len(samples.index), model.case_pressure_bar))
+        low = low_port + np.minimum(samples.pressure_difference_bar, 0.0)
+    charge, case = known.get("charge_pressure", low), known.get("case_pressure", none)
     difference: Array = np.maximum(charge - case, 0.0)
     return difference
 

@@ -174,11 +174,7 @@ def bring_together(
     n_off = between_sessions(channels.values(), grid_us[refused & ~at_rest])
     n_logged = np.count_nonzero(present["speed"])
     pressure_zero, flow_zero = zeros_of_halts(
-        masks["standstill"],
-        grid_us,
-        channels,
-        settings.sensor_health,
-        settings.model.case_pressure_bar,
+        masks["standstill"], grid_us, channels, settings.sensor_health
     )
     # By their places, which takes a third of the time that a mask does.
     credible = np.flatnonzero(~refused)

@@ -2,8 +2,7 @@
 
 In a full line a change of flow arrives at the speed of sound and only the oil's temperature is
 carried along; the thesis delays the drain flow as a whole, and so do lines that are not full, and
-meters that average. So a delay of the flow is estimated from the motor's first nights; where it is
-stated, inputs may be named that are measured in the line and lag the flow.
+meters that average. So a delay of the flow is estimated from the motor's first nights, or stated.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pipeline.config import TransportDelay
 from pipeline.config.settings import MAXIMUM_DELAY_S
 
 L_PER_MIN_PER_M3_PER_S = 60_000.0
+DELAYED = ("pressure_difference", "oil_temperature", "speed")
 # Averaging time of the drain flow that the delay is taken from.
 FLOW_AVERAGE_S = 10.0
 
@@ -83,13 +83,13 @@ def delay_inputs(
     period_s: float,
     settings: TransportDelay,
 ) -> tuple[dict[str, Values], dict[str, Mask], Mask, Values]:
-    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t)."""
+    """Pair the drain flow y(t) with inputs at t − τ(t)."""
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= MAXIMUM_DELAY_S)
     usable = np.where(refused, np.nan, tau)
     new_values, new_present = dict(values), dict(present)
-    for name, sign in settings.steps.items():
+    for name in DELAYED:
         new_values[name], new_present[name] = shifted(
-            values[name], present[name], sign * usable / period_s
+            values[name], present[name], -usable / period_s
         )
     return new_values, new_present, refused, tau

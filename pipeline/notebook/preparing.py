@@ -222,7 +222,7 @@ def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
         FLOW: samples.leakage_l_per_min,
     }
     if settings.model.two_sided:
-        columns[CHARGE] = charge_over_case_bar(settings.model, samples)
+        columns[CHARGE] = charge_over_case_bar(samples)
     return pl.DataFrame(columns).with_columns(pl.col("time").cast(TIMESTAMP))
 
 

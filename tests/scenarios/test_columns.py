@@ -24,7 +24,7 @@ RARE = (
         "M3",
         unstated_oil=(9, "vg46"),
         circuit="tank",
-        lines="[override.model]\ncharge_pressure_bar = 12.0\n",
+        lines='[channels.charge_pressure]\nconstant = 12.0\nunit = "bar"\n',
     ),
 )
 LIMITS = "\n[limits]\nwarning_l_per_min = 7.0\nalarm_l_per_min = 8.0\n"

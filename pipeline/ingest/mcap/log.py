@@ -30,8 +30,8 @@ from pipeline.ingest.mcap.decoding import (
     stacked,
 )
 from pipeline.ingest.mcap.json import json_decoder, json_object
-from pipeline.ingest.mcap.layout import NO_SCHEMA
-from pipeline.ingest.mcap.messages import Messages, read_messages, summary_of
+from pipeline.ingest.mcap.layout import NO_SCHEMA, read_summary
+from pipeline.ingest.mcap.messages import Messages, read_messages
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 
@@ -47,7 +47,7 @@ def _read(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
     names = dict.fromkeys(channel.source for channel in file.channels.values())
     topics = [_Topic(file, name) for name in names]
-    for messages in read_messages(file.path, salvage=file.logs.salvage):
+    for messages in read_messages(file.path):
         times = messages.times(_time_of_record(file.logs))
         for topic in topics:
             topic.take(messages, times)
@@ -62,7 +62,7 @@ def _read(file: LogFile) -> RawLog:
     rows = sum(int(np.count_nonzero(own.readable)) for own in stamps)
     refused = {reason.replace("row", "message", 1): n for reason, n in refused.items()}
     in_order: dict[str, RawChannel] = {name: by_name[name] for name in file.channels}
-    return raw_log(in_order, rows, refused, [messages.loss] if messages.loss else [])
+    return raw_log(in_order, rows, refused)
 
 
 def _span(file: LogFile) -> tuple[int, int]:
@@ -74,7 +74,7 @@ def _span(file: LogFile) -> tuple[int, int]:
     path, logs = file.path, file.logs
     if logs.stamp:
         return span(path, _read(file).stamps())
-    statistics = summary_of(path, salvage=logs.salvage)[0].statistics
+    statistics = read_summary(path).statistics
     if statistics is not None and statistics.message_count and logs.time != "publish_time":
         log_times = np.array(
             [statistics.message_start_time, statistics.message_end_time], np.uint64
@@ -83,7 +83,7 @@ def _span(file: LogFile) -> tuple[int, int]:
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
             return span(path, [ends.time_us])
-    pieces = read_messages(path, salvage=logs.salvage)
+    pieces = read_messages(path)
     times = np.concatenate([messages.times(_time_of_record(logs)) for messages in pieces])
     all_stamps = placed(written_as_numbers(times, "epoch_ns"), "UTC")
     (stamps,), _ = judged(path, [all_stamps], _time_name(logs), file.latest_us)

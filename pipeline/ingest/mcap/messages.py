@@ -35,7 +35,6 @@ from pipeline.ingest.mcap.layout import (
     PREFIX,
     SCHEMA,
     Declared,
-    Summary,
     fields_at,
     read_summary,
     record_offsets,
@@ -51,8 +50,6 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _COMPRESSIONS = {"": None, "lz4": "lz4", "zstd": "zstd"}
 _INDEX_PREFIX = 6
 _BLOCK = 8 * 2**20
-_ANYWHERE = "data section"
-"""Place of a damage that may lie before any message: nothing can be salvaged then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +63,6 @@ class Messages:
     start: NDArray[np.int64]  # of their records in the buffer
     payload_end: NDArray[np.int64]
     read_to: int  # position in the file up to which it has been read
-    loss: str = ""  # what was lost to damage, in words; in the last piece only
 
     def rows_of(self, topic: str) -> NDArray[np.intp]:
         """Rows of the messages of a topic, which several channels may have."""
@@ -88,71 +84,27 @@ class Messages:
         return fields_at(self.buffer, self.start + _TIMES[name], "<u8")
 
 
-def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
-    """All messages of a file, piece by piece in the order of the file.
+def read_messages(path: Path) -> Iterator[Messages]:
+    """Yield all messages of a file, piece by piece in the order of the file.
 
     The last piece is empty and knows all channels, also those without a message. Checksums of
     chunks, data section and summary are checked where they are not zero, and the number of messages
     against what the summary says.
-
-    With `salvage`, a truncated or damaged file gives the messages before the damage, as far as that
-    has a place: a wrong checksum of the whole data section, or a wrong number of messages, has
-    none. Damaged chunks are lost whole.
-
-    Raises LogError: ``log_not_mcap``, ``log_truncated``, ``log_damaged``, ``log_compression``,
-    ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
-    declared = Declared()
-    read_to = len(MAGIC)
-    summary, damage = summary_of(path, salvage=salvage)
+    declared, summary = Declared(), read_summary(path)
     with path.open("rb") as file:
-        pieces = _data_section(path, file, summary.start, declared, damage is None)
-        try:
-            for messages in pieces:
-                of_channels = np.bincount(messages.channel_id)
-                _require_declared(path, declared, of_channels)
-                counts[: of_channels.size] += of_channels
-                read_to = messages.read_to
-                yield messages
-        except LogError as error:
-            if not salvage or not _has_place(error):
-                raise
-            damage = error
-    if summary.statistics is not None and damage is None:
+        for messages in _data_section(path, file, summary.start, declared):
+            of_channels = np.bincount(messages.channel_id)
+            _require_declared(path, declared, of_channels)
+            counts[: of_channels.size] += of_channels
+            yield messages
+    if summary.statistics is not None:
         _require_counts(path, summary.statistics, counts)
     yield replace(
-        _messages(path, memoryview(b""), np.empty(0, np.int64), 0, declared, read_to),
+        _messages(path, memoryview(b""), np.empty(0, np.int64), 0, declared, summary.start),
         channels={**summary.declared.channels, **declared.channels},
         schemas={**summary.declared.schemas, **declared.schemas},
-        loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
-    )
-
-
-def _has_place(error: LogError) -> bool:
-    return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
-
-
-def summary_of(path: Path, *, salvage: bool = False) -> tuple[Summary, LogError | None]:
-    """The summary; with `salvage`, an empty summary where it cannot be read, and why.
-
-    Raises LogError: As `read_messages`.
-    """
-    try:
-        return read_summary(path), None
-    except LogError as error:
-        if not salvage or not _has_place(error):
-            raise
-        return Summary(path.stat().st_size, Declared(), None), error
-
-
-def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
-    size = path.stat().st_size
-    stated = summary.statistics
-    of_all = "" if stated is None else f" of {stated.message_count}"
-    return (
-        f"salvaged: {count}{of_all} messages stand before the damage, the file's last "
-        f"{size - read_to} of {size} bytes are not read ({damage.message})"
     )
 
 
@@ -173,9 +125,7 @@ def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64
         )
 
 
-def _data_section(
-    path: Path, file: BinaryIO, end: int, declared: Declared, end_is_known: bool
-) -> Iterator[Messages]:
+def _data_section(path: Path, file: BinaryIO, end: int, declared: Declared) -> Iterator[Messages]:
     """Messages of the data section, the last record of which has to be its end record."""
     checksum, place, is_whole = zlib.crc32(MAGIC), len(MAGIC), False
     for block, offsets in _blocks(path, file, end):
@@ -192,17 +142,14 @@ def _data_section(
         place += len(block)
         if is_whole:
             break
-    # Without a summary, what is behind the end record may be the summary's begin.
-    if not is_whole or (end_is_known and place != end):
-        where = None if end_is_known else f"byte {place}"
-        how = "the data section does not end in its end record"
-        raise LogError("log_damaged", path, how, where)
+    if not is_whole or place != end:
+        raise LogError("log_damaged", path, "the data section does not end in its end record")
 
 
 def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None:
     stated = int.from_bytes(end_record[PREFIX.size : PREFIX.size + 4], "little")
     if stated not in (0, checksum):
-        raise LogError("log_damaged", path, "its checksum is wrong", _ANYWHERE)
+        raise LogError("log_damaged", path, "its checksum is wrong", "data section")
 
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:

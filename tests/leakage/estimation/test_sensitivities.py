@@ -96,16 +96,6 @@ def test_leakage_where_the_sensors_read_the_motor_to_run_is_what_the_meter_reads
         assert read < 0.005
 
 
-def test_a_film_pressure_share_at_its_end_steps_inwards() -> None:
-    motor = placeholder_motor("CB560")
-    found, _ = effects(motor, Tolerances(film_pressure_share=0.5))
-    # model.md states 3, 164, 57 and 2.3 % for 1 against 0.5; the sign is that of a step upwards.
-    effect = found["film pressure share"]
-    assert effect[1] == pytest.approx(1.64, abs=0.15)
-    assert effect[2] == pytest.approx(-0.57, abs=0.1)
-    assert 0.0 < effect[3] < 0.1
-
-
 def test_an_absurd_tolerance_is_reported() -> None:
     tolerances = Tolerances(temperature_c=ChannelTolerance(offset=1000.0))
     with pytest.raises(ValidityError):

@@ -145,7 +145,6 @@ def zstd_without_checksum(path: Path, rows: Sequence[Row], names: Sequence[str])
 
 BARE = {"enable_crcs": False, "index_types": IndexType.NONE, "use_statistics": False}
 PLAIN = {"compression": CompressionType.NONE}
-SALVAGED = {"salvage": True}
 LONG = {"layout": "long", "time_format": "epoch_us"}
 SPLIT = parquet(use_dictionary=False, use_byte_stream_split=NAMES[:1])
 # They are read and damaged only: their messages hold no text, or other checks have them so.
@@ -163,6 +162,4 @@ NUMBERS_ONLY = (
         "mcap-protobuf-bare", "mcap", write_mcap("protobuf", use_chunking=False, **BARE), wide=False
     ),
     Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE), wide=False),
-    Format("mcap-salvaged", "mcap", write_mcap(), wide=False, keys=SALVAGED),
-    Format("mcap-bare-salvaged", "mcap", write_mcap(**PLAIN, **BARE), wide=False, keys=SALVAGED),
 )

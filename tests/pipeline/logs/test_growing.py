@@ -149,20 +149,6 @@ def test_a_backup_that_links_a_log_changes_nothing(tmp_path: Path) -> None:
     assert change_of(record, path) is None
 
 
-@pytest.mark.parametrize("age_s", [0, 3601, -7200])
-def test_a_file_written_to_a_moment_ago_waits_where_that_is_asked_for(
-    tmp_path: Path, age_s: int
-) -> None:
-    """A clock far ahead keeps no file out."""
-    shop = shop_of(tmp_path, "settle_s = 3600.0")
-    path = shop.logs / f"{NIGHT}.csv"
-    then = path.stat().st_mtime - age_s
-    os.utime(path, (then, then))
-    outcome = shop.run()
-    assert outcome.nights == ((NIGHT,) if age_s else ())
-    assert fates(outcome) == ({"read": 1} if age_s else {"growing": 1})
-
-
 def test_the_check_notes_it_and_finds_no_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,7 @@ from pipeline.config.oil_samples import OilSample
 from pipeline.night import transport_delay
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit
-from pipeline.night.transport_delay import delay_inputs, delay_on_grid_s, shifted
+from pipeline.night.transport_delay import DELAYED, delay_inputs, delay_on_grid_s, shifted
 from pipeline.schema import BLOCKS, frame
 from tests.pipeline.night.noise_free import (
     configured_flow,
@@ -65,10 +65,9 @@ def test_as_the_slow_definition(seed: int) -> None:
 
 def test_above_its_limit_or_without_flow_a_sample_is_refused() -> None:
     flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan, -1.0])
-    values = {"speed": np.arange(6.0), "leakage_flow": flow}
-    present = {"speed": np.ones(6, np.bool_), "leakage_flow": np.isfinite(flow)}
-    settings = TransportDelay(lagging=("speed",), **LINE)
-    _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
+    values = dict.fromkeys(DELAYED, np.arange(6.0)) | {"leakage_flow": flow}
+    present = dict.fromkeys(DELAYED, np.ones(6, np.bool_)) | {"leakage_flow": np.isfinite(flow)}
+    _, there, refused, _ = delay_inputs(values, present, 60.0, TransportDelay(**LINE))
     assert refused.tolist() == [False, False, True, True, True, True]
     assert not there["speed"][refused].any()
 
@@ -82,15 +81,15 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
 ) -> None:
     monkeypatch.setattr(transport_delay, "FLOW_AVERAGE_S", 0.0)
     monkeypatch.setattr(transport_delay, "MAXIMUM_DELAY_S", 15.0)
-    line = "line_length_m = 2.0\nline_inner_diameter_mm = 12.0\n"
-    spec = with_delay(tmp_path, f'{line}lagging = ["oil_temperature"]')
+    spec = with_delay(tmp_path, "line_length_m = 2.0\nline_inner_diameter_mm = 12.0\n")
+    volume_l = 1000.0 * np.pi * 0.006**2 * 2.0
     flow = configured_flow(spec, OPERATION)
     seconds = np.arange(len(flow), dtype=np.float64)
-    tau = np.pi * 0.006**2 * 2.0 / (flow / 60_000.0)
-    # Oil that leaves the motor at t passes the sensor at t + τ(t); the pressure is not late.
-    arrives = np.maximum.accumulate(seconds + tau)
-    late = {"oil_temperature": np.interp(seconds, arrives, OPERATION.temperature_c)}
-    outcome = fitted(spec, OPERATION, flow, late)
+    # Oil that leaves the motor at t passes the meter at t + τ(t).
+    arrives = np.maximum.accumulate(seconds + 60.0 * volume_l / flow)
+    measured = np.interp(seconds, arrives, flow)
+    tau = 60.0 * volume_l / measured
+    outcome = fitted(spec, OPERATION, measured)
     assert refused_of(outcome)["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
     assert fit_of(outcome.rows)["training_fit_percent"] > 99.5
 
@@ -99,10 +98,8 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
     "keys",
     [
         "line_length_m = 1.0",
-        'lagging = ["speed"]',
         "fixed_s = 61.0",
         "fixed_s = 1.0\nline_length_m = 1.0\nline_inner_diameter_mm = 9.0",
-        'fixed_s = 1.0\nlagging = ["leakage_flow"]',
     ],
 )
 def test_what_does_not_go_together_is_a_fault(tmp_path: Path, keys: str) -> None:

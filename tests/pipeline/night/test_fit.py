@@ -124,7 +124,7 @@ def test_slow_errors_are_estimated_reported_and_allowed_for(spec: MotorSpec) -> 
 
 
 def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> None:
-    text = motor_toml("M1", more="[override.model]\nfilm_pressure_share_tolerance = 0.1\n")
+    text = motor_toml("M1")
     for name, key in (("oil_temperature", "offset_tolerance"), ("leakage_flow", GAIN)):
         text = text.replace(f"[channels.{name}]\n", f"[channels.{name}]\n{key} = 1.0\n")
     spec = load_motor(tmp_path, text)
@@ -132,7 +132,7 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
     reference = {
         row["source"]: row for row in rows["error_budget"] if row["indicator"] == "fitted_leakage"
     }
-    wanted = {"oil_temperature offset", "leakage_flow gain", "film pressure share"}
+    wanted = {"oil_temperature offset", "leakage_flow gain"}
     assert wanted <= reference.keys()
     ring = [row for row in rows["error_budget"] if row["indicator"] == "K_piston_ring"]
     stated = [row["effect"] for row in ring if not row["is_assumed"]]
@@ -148,16 +148,16 @@ def test_stated_tolerances_become_a_budget_whose_squares_add(tmp_path: Path) -> 
 @pytest.mark.parametrize("logged", [True, False])
 def test_two_sided_leakage_is_found_again(tmp_path: Path, logged: bool) -> None:
     """Charge pressure from a channel or as a constant; one-sided, the ring is far off."""
-    channel = '[channels.charge_pressure]\nsource = "charge_pressure"\nunit = "bar"\n'
-    constant = "" if logged else "charge_pressure_bar = 16.0\n"
-    more = channel * logged + "[override.model]\ncase_pressure_bar = 1.0\n" + constant
+    place = 'source = "charge_pressure"' if logged else "constant = 16.0"
+    more = f'[channels.charge_pressure]\n{place}\nunit = "bar"\n'
+    more += '[channels.case_pressure]\nconstant = 1.0\nunit = "bar"\n'
     spec = load_motor(tmp_path, motor_toml("M1", more=more))
     charge_bar = 16.0 + logged * np.sin(np.arange(N) / 40.0)
     conditions = OperatingConditions.from_bar(
         LONG.pressure_bar, LONG.temperature_c, LONG.speed_rpm, charge_bar - 1.0
     )
     flow = total_flow_l_per_min(spec.motor(NIGHT, "none"), conditions)
-    charge = {"charge_pressure": charge_bar} if logged else {}
+    charge = {"charge_pressure": np.broadcast_to(charge_bar, N), "case_pressure": np.ones(N)}
     outcome = fitted(spec, LONG, flow, charge)
     for name, true in true_k(spec).items():
         assert parameters(outcome)[name]["value"] == pytest.approx(true, rel=1e-6)
@@ -308,7 +308,6 @@ refuse_transients = true
 warm_up_minutes = 1.0
 [override.transport_delay]
 fixed_s = 2.0
-lagging = ["oil_temperature"]
 """
 BY_HAND = """
 [periods]

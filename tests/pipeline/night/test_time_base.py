@@ -354,6 +354,7 @@ def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
     if low_bar is not None:
         ports = {"high_port_pressure": low_bar + bar, "low_port_pressure": np.full(N, low_bar)}
         channels = {name: channel(values) for name, values in ports.items()} | channels
-    pressure, zero = zeros_of_halts(still, GRID, channels, SensorHealth(), case_bar)
+    channels["case_pressure"] = channel(np.full(N, case_bar))
+    pressure, zero = zeros_of_halts(still, GRID, channels, SensorHealth())
     assert pressure.value == pytest.approx(ZERO_BAR, abs=0.05)
     assert (zero is not None) == is_known
