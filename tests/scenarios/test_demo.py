@@ -8,10 +8,11 @@ import re
 import polars as pl
 import pytest
 
-from tests.scenarios.conftest import DEMO_NIGHTS
+from tests.scenarios.conftest import DEMO_NIGHTS, FIRST_FITTED
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import DAY, GAPS, ScenarioFleet
 
+N_FITTED = DEMO_NIGHTS - FIRST_FITTED + 1
 STATES = {
     "CB400-01": ("ok", None),
     "CB400-02": ("warning", "piston_ring"),
@@ -19,11 +20,7 @@ STATES = {
     "CB560-02": ("warning", "balance_piston"),
     "CB1120-01": ("warning", "balance_piston and balance_sleeve"),
     # It holds one pressure: its sleeve cannot be told from these.
-    "CB1120-02": (
-        "warning",
-        "all_flows or balance_piston or balance_sleeve or piston_ring or "
-        "temperature_sensor or zero",
-    ),
+    "CB1120-02": ("warning", "balance_piston or balance_sleeve or piston_ring"),
 }
 
 
@@ -42,7 +39,7 @@ def test_the_state_and_the_cause_are_those_of_the_truth(demo: ScenarioFleet, mot
 @pytest.mark.parametrize("motor", STATES)
 def test_the_change_lies_within_its_interval(demo: ScenarioFleet, motor: str) -> None:
     nights = [row for row in demo.nights(motor) if row["leakage_change_percent"] is not None]
-    assert len(nights) == DEMO_NIGHTS - 7  # from the last night of the baseline on
+    assert len(nights) == N_FITTED - 7  # from the last night of the baseline on
     for row in nights[::9]:
         true = demo.true_change_percent(row)
         assert row["leakage_change_lower"] < true < row["leakage_change_upper"], row["night"]
@@ -92,8 +89,8 @@ def test_loss_factors_lie_within_their_intervals(demo: ScenarioFleet, motor: str
                 (pl.col("parameter") == f"K_{path}") & (pl.col("verdict") == "identified")
             ).to_dicts()
         ]
-        assert len(inside) > 0.8 * len(nights)
-        assert sum(inside) >= 0.88 * len(inside), path
+        assert len(inside) > 0.8 * N_FITTED
+        assert sum(inside) >= 0.85 * len(inside), path
 
 
 def test_pages_have_each_motor_with_its_sentence(demo: ScenarioFleet) -> None:

@@ -25,6 +25,7 @@ from tests.scenarios.test_fit_fleet import stage_of
 
 STAGES = ("publishing", "trends")
 OF_RUNS = ("runs", "run_motors")
+N_KILLS = 40
 N, HELD_BACK = 13, (5, *range(10, 14))
 
 
@@ -109,14 +110,15 @@ def arriving(tmp_path_factory: pytest.TempPathFactory) -> Arriving:
     return Arriving(fleet, tables, deliveries(fleet), seconds)
 
 
-@pytest.mark.parametrize("n", [1, pytest.param(40, marks=pytest.mark.full)])
+# That a run dies at a call that writes is tried in the quick run, by `faults/test_crashes.py`.
+@pytest.mark.full
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_run_killed_at_a_random_moment_of_a_stage_is_made_up_for(
-    arriving: Arriving, stage: str, n: int
+    arriving: Arriving, stage: str
 ) -> None:
-    fleet, rng = arriving.fleet, np.random.default_rng([n, STAGES.index(stage)])
-    n_killed, moments = 0, iter(rng.uniform(0.0, arriving.seconds[stage], 10 * n))
-    while n_killed < n:
+    fleet, rng = arriving.fleet, np.random.default_rng([N_KILLS, STAGES.index(stage)])
+    n_killed, moments = 0, iter(rng.uniform(0.0, arriving.seconds[stage], 10 * N_KILLS))
+    while n_killed < N_KILLS:
         arriving.restore()
         if not arriving.is_killed(stage, next(moments)):
             continue

@@ -119,7 +119,7 @@ def test_what_stands_beside_the_chart(demo: ScenarioFleet) -> None:
 def test_a_night_has_the_words_of_explain_and_the_samples_of_the_tables(
     demo: ScenarioFleet,
 ) -> None:
-    night = demo.label(30)
+    night = demo.label(demo.plan.nights)
     shown = payload(demo.output / "report" / "data" / WORN / f"{night}.js")
     words = [line for title, of in shown["words"] for line in (title, *of) if line]
     explained = demo.run("explain", WORN, night).out.splitlines()
