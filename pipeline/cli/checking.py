@@ -28,6 +28,8 @@ from pipeline.messages import counted, error_line
 # A rule that refused less than this is not worth its name in a table.
 WORTH_TELLING = 0.0005
 _MOST_REASONS = 8
+# Of a larger fleet so many motors' newest nights are judged: a check answers in half a minute.
+JUDGED_AT_MOST = 100
 CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused by")
 
 if TYPE_CHECKING:
@@ -54,7 +56,8 @@ def check(
 
     Example: motor-leakage check --tables configs/fleet.toml
 
-    The newest night is judged by the rules of a run, with --full every night.
+    The newest night is judged by the rules of a run, with --full every night; of a fleet of more
+    than 100 motors that of 100, those first that no run has fitted.
 
     Exit code 0: no fault; 1: a motor has no log, or no night that would be fitted, a log or its
     readings are at fault, the folder of the metrics is missing, or a file of the output is damaged;
@@ -63,7 +66,7 @@ def check(
     from pipeline.logs.finding import strays_text, unclaimed
     from pipeline.logs.processed import paired_as_published, read_stays
     from pipeline.report.status import standing
-    from pipeline.setup.check import check_motor, with_silent_nights
+    from pipeline.setup.check import Depth, check_motor, with_silent_nights
     from pipeline.store.state import read_state_file
     from pipeline.trends.decisions import read_decisions
     from pipeline.trends.tasks import decisions_of
@@ -74,18 +77,29 @@ def check(
     fleet = paired_as_published(fleet, fleet.output)
     with read_state_file(fleet.output) as state:
         stays, _ = read_stays(state, [spec.motor_id for spec in fleet.motors])
+        fitted = {motor_id for (motor_id,) in state.rows("SELECT DISTINCT motor_id FROM nights")}
+    ids = sorted((spec.motor_id for spec in fleet.motors), key=fitted.__contains__)
+    judged = ids if full else ids[:JUDGED_AT_MOST]
+    depths = dict.fromkeys(judged, Depth.EVERY if full else Depth.NEWEST)
     decisions = decisions_of(fleet.motors, read_decisions(fleet.output))
     checks: tuple[MotorCheck, ...] = ()
     with progress_bar("motors", is_shown=not as_json) as draw:
         for spec in fleet.motors:
-            own = decisions[spec.motor_id]
-            checks += (check_motor(spec, stays[spec.motor_id], own, is_full=full),)
+            motor_id = spec.motor_id
+            depth = depths.get(motor_id, Depth.ENDS)
+            checks += (check_motor(spec, stays[motor_id], decisions[motor_id], depth=depth),)
             draw(len(checks), len(fleet.motors))
     for motor in with_silent_nights(checks) if full else checks:
         if as_json:
             tell(asdict(motor), "", as_json=True)
         else:
             _print_check(motor)
+    if len(judged) < len(checks):
+        words = (
+            f"the newest nights of {len(judged)} of {len(checks)} motors were judged, those first "
+            "that no run has fitted; --full judges every night of all"
+        )
+        tell({"event": "judged", "motors": judged, "words": words}, words, as_json=as_json)
     placeholders = sorted({name for motor in checks for name in motor.placeholders})
     if placeholders and not as_json:
         names = ", ".join(placeholders)

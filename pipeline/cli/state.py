@@ -282,7 +282,7 @@ def _failed_night(
     from pipeline.trends.decisions import Decision
 
     fleet.known_motors([motor])
-    failed = failed_nights(fleet.output, motor)
+    failed = failed_nights(fleet.output, [motor])[motor]
     if night not in failed:
         there = ", ".join(map(str, failed)) or "none"
         raise UsageError("night", f"--night: expected a failed night of {motor}: {there}")

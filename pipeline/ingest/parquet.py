@@ -9,7 +9,7 @@ where that is of a size that a log can have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -78,11 +78,21 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
             how = f"column {columns.name!r} holds no names of channels"
             raise LogError("log_type", path, how, columns.name)
         texts = [name for name in text_paths(opened_file.schema_arrow) if name in places]
+        if not texts:
+            _add_rows(table, path, opened_file, places)
+            return table
     with opened(path, texts) as opened_file:
-        for batch in _batches(path, opened_file, list(places)):
-            parts = {name: _within(path, batch, place) for name, place in places.items()}
-            table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
+        _add_rows(table, path, opened_file, places)
     return table
+
+
+def _add_rows(
+    table: RawTable, path: Path, file: pq.ParquetFile, places: Mapping[str, _Place]
+) -> None:
+    """Add the rows of a file to a table of its columns."""
+    for batch in _batches(path, file, list(places)):
+        parts = {name: _within(path, batch, place) for name, place in places.items()}
+        table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
 
 
 def _batches(path: Path, file: pq.ParquetFile, wanted: list[str]) -> Iterator[pa.RecordBatch]:

@@ -79,13 +79,12 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
     excluded = {
         (decision.motor_id, decision.night) for decision in decisions if decision.kind == "excluded"
     }
+    by_motor = failed_nights(output, motor_ids)
     failures = {
         motor_id: {
-            label: why
-            for label, why in failed_nights(output, motor_id).items()
-            if (motor_id, label) not in excluded
+            label: why for label, why in nights.items() if (motor_id, label) not in excluded
         }
-        for motor_id in motor_ids
+        for motor_id, nights in by_motor.items()
     }
     for motor_id, failed in failures.items():
         for label in sorted(failed)[-MOST_FAILED:]:
@@ -120,11 +119,14 @@ def _proposed_delays(output: Path, settings: Mapping[str, Mapping[str, Any]]) ->
             )
 
 
-def failed_nights(output: Path, motor_id: str) -> dict[dt.date, str]:
-    """Return why nights of a motor failed, in words, by night."""
-    columns = ("night", "status", "error_code", "reason")
-    rows = read_rows(output, NIGHTS, [motor_id], columns).filter(status=FAILED).sort("night")
-    return {row["night"]: f"{row['error_code']}: {row['reason']}" for row in rows.to_dicts()}
+def failed_nights(output: Path, motor_ids: Sequence[str]) -> dict[str, dict[dt.date, str]]:
+    """Return why nights of some motors failed, in words, by motor and night."""
+    columns = ("motor_id", "night", "status", "error_code", "reason")
+    rows = read_rows(output, NIGHTS, motor_ids, columns).filter(status=FAILED).sort("night")
+    failed: dict[str, dict[dt.date, str]] = {motor_id: {} for motor_id in motor_ids}
+    for row in rows.iter_rows(named=True):
+        failed[row["motor_id"]][row["night"]] = f"{row['error_code']}: {row['reason']}"
+    return failed
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:

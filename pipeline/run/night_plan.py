@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,13 +114,17 @@ class NightPlan:
         self.roller = self.settings_before.get(ROLLER)
         self.fitted_spec = as_published(self.spec, self.settings_before)
         self.hashes = SettingsHashes(self.fitted_spec)
-        self.why_anew = why_anew(self.settings_before, self.hashes.settings)
         self.is_delay_decided = False  # in this run
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(before.nights)
         self.stays: dict[dt.date, str] = {}
         self._note_gone()
         self.by_settings = self._outdated_by_settings()
+
+    @cached_property
+    def why_anew(self) -> str:
+        """What changed since the run before, in words."""
+        return why_anew(self.settings_before, self.hashes.settings)
 
     @contextmanager
     def timed(self, stage_name: str) -> Iterator[None]:

@@ -6,6 +6,7 @@ import datetime as dt
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
 from functools import partial
 from typing import Any
 
@@ -76,6 +77,14 @@ LINE_END_BYTES = 4
 PACKED = (".gz", ".zst")
 
 
+class Depth(Enum):
+    """How far a check looks into a motor's logs."""
+
+    ENDS = "ends"  # time stamps alone
+    NEWEST = "newest"  # and the newest night, until any is fitted
+    EVERY = "every"  # and every night
+
+
 @dataclass(frozen=True, slots=True)
 class NightForecast:
     """What a run would make of a night."""
@@ -111,13 +120,13 @@ def check_motor(
     stays: Collection[dt.date] = (),
     decisions: Sequence[Decision] = (),
     *,
-    is_full: bool = False,
+    depth: Depth = Depth.NEWEST,
 ) -> MotorCheck:
-    """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
+    """Look at the ends of each of a motor's logs, and into some; nothing is written.
 
     Of logs in an object store, which have to be copied for it, the first and the last few by name.
     Where the newest night would not be fitted, the first and the middle are fitted, too; with
-    `is_full` all are, but for those that stay as published. `decisions` are the motor's.
+    `Depth.EVERY` all are, but for those that stay as published. `decisions` are the motor's.
 
     Raises StoreError if an object store cannot be read.
     """
@@ -134,14 +143,19 @@ def check_motor(
         {decision.night for decision in decisions if decision.kind == kind}
         for kind in ("excluded", "released")
     )
-    if is_full:
+    looks: list[_NightLook] = []
+    if depth is Depth.EVERY:
         looks = list(_every_look(spec, logs, stays, released))
-    else:
+    elif depth is Depth.NEWEST:
         looks = list(_few_looks(spec, logs, _small_nights(logs, open_nights)))
     forecast = tuple(
         NightForecast(str(look.label), look.status, look.reason, **look.lag) for look in looks
     )
-    channels, unfit, worth = _look_into(spec, logs, looks, excluded | released)
+    channels: tuple[ChannelCheck, ...] = ()
+    unfit: Sequence[str] = ()
+    worth: Sequence[str] = ()
+    if depth is not Depth.ENDS:
+        channels, unfit, worth = _look_into(spec, logs, looks, excluded | released)
     notes = [*worth, *_messages(logs.files, "growing"), *_lag_notes(spec, forecast)]
     if len(names) != len(source.names):
         notes.append(
