@@ -10,6 +10,7 @@ at every lag alike.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,14 +36,14 @@ class TransportLag:
 
 
 def transport_lag(
-    flow: Array, drivers: Array, index: Places, period_s: float, paired_s: float = 0.0
+    flow: Array, drivers: Sequence[Array], index: Places, period_s: float, paired_s: float = 0.0
 ) -> TransportLag | None:
     """Estimate how long a flow lags its drivers.
 
     Parameters
     ----------
     flow, drivers
-        Shapes (n,) and (n, k).
+        Shape (n,) each.
     index
         Place of each sample on an even time base, increasing, shape (n,).
     period_s
@@ -58,7 +59,7 @@ def transport_lag(
     Examples
     --------
     >>> load = np.repeat(np.random.default_rng(1).normal(size=100), 30)
-    >>> lag = transport_lag(np.roll(load, 8), load[:, None], np.arange(3000), 1.0)
+    >>> lag = transport_lag(np.roll(load, 8), [load], np.arange(3000), 1.0)
     >>> round(lag.seconds, 1), round(lag.gain, 1)
     (8.0, 0.5)
     """
@@ -74,40 +75,46 @@ def transport_lag(
     place = np.full(int(index[-1]) - first + reach + 1, -1)
     place[index - first] = np.arange(len(index))
     here = index[chosen] - first
-    # Of all samples of a day it would cost more than the search.
-    columns = np.ascontiguousarray(drivers.T)
-    centre = drivers[chosen].mean(axis=0)[:, None]
-    spread = drivers[chosen].std(axis=0)
+    ours = _gathered(drivers, chosen)
+    centre, spread = ours.mean(axis=1)[:, None], ours.std(axis=1)
     scale = np.array([*np.where(spread > 0.0, spread, 1.0), 1.0, 1.0])
 
     def explained(lags: Places, apart: int = 1) -> Array:
         own, at = chosen[::apart], here[::apart]
-        moments = np.array([_moments(flow, columns, centre, own, place[at - lag]) for lag in lags])
+        moments = np.array([_moments(flow, drivers, centre, own, place[at - lag]) for lag in lags])
         return _explained(moments / np.outer(scale, scale), len(own))
 
     apart = max(len(chosen) // ENOUGH_FOR_COARSE, 1)
     every = np.arange(zero - longest, zero + longest + 1, coarse)
     likely = every[np.argsort(explained(every, apart), kind="stable")[-LIKELY:]]
     near = likely[np.argmax(explained(likely))]
-    around = np.arange(near - coarse, near + coarse + 1, fine)
-    best = int(around[np.argmax(explained(around))])
-    settled = np.array([best - fine, best, best + fine, zero])
-    before, middle, after, unshifted = explained(settled).tolist()
+    around = np.arange(near - coarse - fine, near + coarse + fine + 1, fine)
+    shares = explained(around)
+    peak = 1 + int(np.argmax(shares[1:-1]))
+    best = int(around[peak])
+    before, middle, after = shares[peak - 1 : peak + 2].tolist()
     if min(before, middle, after) <= 0.0 or abs(best - zero) >= longest:
         return None
     bend = before - 2.0 * middle + after
     top = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     lag_s = paired_s + (best + fine * top) * period_s
-    return TransportLag(lag_s, middle - unshifted)
+    return TransportLag(lag_s, middle - float(explained(np.array([zero]))[0]))
 
 
-def _moments(flow: Array, columns: Array, centre: Array, chosen: Places, partner: Places) -> Array:
+def _gathered(drivers: Sequence[Array], places: Places) -> Array:
+    """Return drivers at some places, shape (k, m): at all of a day it would take long."""
+    return np.stack([driver.take(places) for driver in drivers])
+
+
+def _moments(
+    flow: Array, drivers: Sequence[Array], centre: Array, chosen: Places, partner: Places
+) -> Array:
     """Return sums of products of drivers at other places, -1: at none, of the flow, and of ones."""
     paired = partner >= 0
     if not paired.all():
         chosen, partner = chosen[paired], partner[paired]
-    values = np.ones((len(columns) + 2, len(chosen)))
-    np.subtract(columns.take(partner, axis=1), centre, out=values[:-2])
+    values = np.ones((len(drivers) + 2, len(chosen)))
+    np.subtract(_gathered(drivers, partner), centre, out=values[:-2])
     values[-2] = flow[chosen]
     products: Array = values @ values.T
     return products

@@ -73,7 +73,7 @@ def check(
 
     if tables:
         raise typer.Exit(_check_tables(config, output, as_json=as_json))
-    fleet = load(config, None, None)
+    fleet = load(config, output, None)
     fleet = paired_as_published(fleet, fleet.output)
     with read_state_file(fleet.output) as state:
         stays, _ = read_stays(state, [spec.motor_id for spec in fleet.motors])

@@ -94,12 +94,10 @@ def lag_columns(statistics: NightStatistics) -> dict[str, float | None]:
     the root of the pressure.
     """
     samples = statistics.samples
-    drivers = np.column_stack(
-        [
-            statistics.unsmoothed[:, :-1],
-            np.abs(samples.speed_rpm),
-            np.sqrt(np.abs(samples.pressure_difference_bar)),
-        ]
+    drivers = (
+        *statistics.unsmoothed[:, :-1].T,
+        np.abs(samples.speed_rpm),
+        np.sqrt(np.abs(samples.pressure_difference_bar)),
     )
     lag = transport_lag(
         samples.leakage_l_per_min, drivers, samples.index, samples.period_us / 1e6, samples.delay_s

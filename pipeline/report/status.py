@@ -81,9 +81,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
     }
     by_motor = failed_nights(output, motor_ids)
     failures = {
-        motor_id: {
-            label: why for label, why in nights.items() if (motor_id, label) not in excluded
-        }
+        motor_id: {label: why for label, why in nights.items() if (motor_id, label) not in excluded}
         for motor_id, nights in by_motor.items()
     }
     for motor_id, failed in failures.items():

@@ -86,6 +86,21 @@ def test_check_looks_at_each_log(plant: ScenarioFleet) -> None:
     assert damaged["calm"]["faults"] == []
 
 
+@covers("check --json --output")
+def test_of_a_large_fleet_a_hundred_motors_are_judged_new_motors_first(
+    plant: ScenarioFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.cli.checking.JUDGED_AT_MOST", len(plant.motors) - 1)
+    output = ("--output", plant.folder / "anew")
+    assert plant.run("fit-fleet", *output, "--motors", "calm", "--since", plant.label(20)).code == 0
+    done = plant.run("check", "--json", *output)
+    (event,) = [line for line in done.lines if line.get("event") == "judged"]
+    assert event["motors"] == sorted(plant.motors.keys() - {"calm"})
+    motors = {line["motor_id"]: line for line in done.lines if "log_format" in line}
+    assert [name for name, line in motors.items() if not line["channels"]] == ["calm"]
+    assert (motors["calm"]["n_nights"], motors["calm"]["forecast"]) == (20, [])
+
+
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [

@@ -28,7 +28,7 @@ def test_a_lag_is_found_whatever_the_rate_and_the_gaps(lag_s: float, period_s: f
     index = np.arange(int(4000 / period_s))
     index = index[(index * period_s) % 500 > 60]
     time_s = index * period_s
-    found = transport_lag(flow(time_s - lag_s), drivers(time_s), index, period_s)
+    found = transport_lag(flow(time_s - lag_s), [*drivers(time_s).T], index, period_s)
     assert found is not None
     assert found.seconds == pytest.approx(lag_s, abs=0.15)
     assert (found.gain > 0.05) == (lag_s != 0.0)
@@ -36,7 +36,7 @@ def test_a_lag_is_found_whatever_the_rate_and_the_gaps(lag_s: float, period_s: f
 
 def test_what_was_paired_before_is_part_of_it() -> None:
     found = transport_lag(
-        flow(SECONDS - 8.0), drivers(SECONDS - 5.5), SECONDS.astype(int), 1.0, 5.5
+        flow(SECONDS - 8.0), [*drivers(SECONDS - 5.5).T], SECONDS.astype(int), 1.0, 5.5
     )
     assert found is not None
     assert found.seconds == pytest.approx(8.0, abs=0.15)
@@ -54,5 +54,5 @@ def test_what_was_paired_before_is_part_of_it() -> None:
     ids=["flow at rest", "drivers at rest", "samples far apart", "lag out of reach"],
 )
 def test_none_where_nothing_can_be_estimated(y: np.ndarray, u: np.ndarray, period_s: float) -> None:
-    found = transport_lag(y, u, SECONDS.astype(int), period_s)
+    found = transport_lag(y, [*u.T], SECONDS.astype(int), period_s)
     assert found is None or found.gain < 0.05
