@@ -152,15 +152,7 @@ def settings_of(spec: MotorSpec) -> dict[str, Any]:
 
 
 def why_anew(before: Mapping[str, Any], now: Mapping[str, Any], *, trends: bool = False) -> str:
-    """Return reason in words to redo nights or trends: a new version, or the settings that changed.
-
-    Examples
-    --------
-    >>> why_anew({"versions": {"figures": 1}}, {"versions": {"figures": 2}})
-    'another version of the program (figures 1 to 2)'
-    >>> why_anew({"trends": {"trend": {"x": 2}}}, {"trends": {"trend": {"x": 3}}}, trends=True)
-    'changed setting trend.x'
-    """
+    """Return why nights or trends are redone, in words: a new version, or changed settings."""
     versions = before.get("versions", {})
     steps = [
         f"{key} {versions.get(key, '?')} to {version}"

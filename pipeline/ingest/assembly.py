@@ -83,10 +83,7 @@ def raw_channel(
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel of readings as logged, with their `quality_states` if the log has them.
-
-    Raises LogError: ``log_type``: the channel holds something, but not one number.
-    """
+    """Channel of readings as logged, with their `quality_states` if the log has them."""
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
     is_marked = bad is not None and bool(bad[readings.unparsed].all())
@@ -114,14 +111,6 @@ class Growing(Generic[_T]):
 
     Pieces that are kept until they are joined would leave holes in the memory that a day at 100 Hz
     cannot use: 0.3 GiB.
-
-    Examples
-    --------
-    >>> array = Growing(np.int64)
-    >>> for piece in ([1, 2], [3], [4, 5, 6]):
-    ...     array.append(np.array(piece))
-    >>> array.taken().tolist()
-    [1, 2, 3, 4, 5, 6]
     """
 
     def __init__(self, dtype: type[_T]) -> None:
@@ -236,8 +225,6 @@ def judged(
 
     The parts are judged together; `name` says what the stamps are called and how they were read.
     The future begins after `latest_us` [µs since 1970].
-
-    Raises LogError: ``log_time``: more than half of the rows have no good time.
     """
     rows = sum(part.readable.size for part in parts)
     ahead = sum(int(np.count_nonzero(part.time_us > latest_us)) for part in parts)
@@ -288,15 +275,6 @@ def without_rows_of_others(
     Where each channel is logged at times of its own, a table has a row for each of them, which is
     blank for the others. So is a channel most of whose readings stand alone in their rows; if it
     shares them, it was to have a reading there. Several channels may be of the same column.
-
-    Examples
-    --------
-    >>> def channel(*value):
-    ...     return RawChannel(np.arange(4), np.array(value), np.isnan(value), 0)
-    >>> left, right = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
-    >>> apart = without_rows_of_others({"a": left, "b": right}, {"a": "x", "b": "y"})
-    >>> apart["a"].time_us.tolist(), apart["b"].time_us.tolist()
-    ([0, 2], [1, 3])
     """
     by_column = {columns[name]: channel.missing for name, channel in channels.items()}
     if len(by_column) < 2 or not any(missing.any() for missing in by_column.values()):

@@ -48,15 +48,6 @@ def quality_states(
 
     Text is compared without regard to case and blanks around it, and as a number where both are
     numbers: 192, 192.0 and "192" are the same, and so are true and 1.
-
-    Raises LogError: ``log_type``: the column holds neither text nor numbers, or too many different
-    ones.
-
-    Examples
-    --------
-    >>> cells = pa.array(["Good", "GOOD ", "192.0", "Uncertain", "0", ""])
-    >>> quality_states(Path("a.csv"), "quality", cells, ("Good", 192)).tolist()
-    [0, 0, 0, 1, 1, 2]
     """
     kind, is_a = cells.type, pa.types
     if not (is_text(kind) or is_number(kind) or is_a.is_boolean(kind) or is_a.is_null(kind)):

@@ -261,9 +261,6 @@ def _opened(
     """A log's reader, and what it is given: the channels that a log holds, in their order.
 
     What an installed reader does wrong within is an error of the log.
-
-    Raises LogError: What is no file; ``log_reader``: there is no such reader or option, it cannot
-    be loaded or used, or fails.
     """
     with readable(path):
         try:

@@ -47,10 +47,7 @@ class Columns:
 
 
 def wanted_columns(file: LogFile) -> Columns:
-    """Columns that hold time and channels in the layout of a log.
-
-    Raises LogError: ``log_column_missing``: the file's name is that of no channel.
-    """
+    """Columns that hold time and channels in the layout of a log."""
     logs, channels = file.logs, _channels_of(file)
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
     qualities = dict.fromkeys(
@@ -152,12 +149,7 @@ class RawTable:
         return span(self.file.path, [stamps.time_us[stamps.readable]])
 
     def log(self, refused: Mapping[str, int]) -> RawLog:
-        """All rows as a log, with counts of those left out before; the table is empty afterwards.
-
-        Raises LogError: ``log_type``; ``log_time`` where more than half of the rows have no time;
-        ``log_column_missing`` where a table has rows, and none of the motor, or if long none of
-        a wanted channel.
-        """
+        """Return all rows as a log, with counts of those left out; the table is empty then."""
         file, logs = self.file, self.file.logs
         if not self._has_motor and self._seen:
             how = f"no row of motor {logs.motor_name!r} in column {logs.motor_column!r}; there are "

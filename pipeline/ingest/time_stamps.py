@@ -85,13 +85,6 @@ def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStam
     """Time stamps of a column of time, or of a column of dates and one of times of day.
 
     A null is a blank cell.
-
-    Examples
-    --------
-    >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
-    >>> stamps = placed(written([texts], "iso8601"), "UTC")
-    >>> stamps.time_us.tolist(), stamps.readable.tolist(), stamps.example
-    ([1740805200500000, 0], [True, False], '6 am')
     """
     column = columns[-1]
     if len(columns) > 1:
@@ -140,11 +133,6 @@ def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
     """Time stamps of a column of numbers; a nan is a blank cell.
 
     None of them can be read where the format is of text.
-
-    Examples
-    --------
-    >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
-    [1740808800000000]
     """
     stamps = _from_numbers(numbers, time_format)
     strange = numbers[np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]].tolist()
@@ -227,12 +215,6 @@ def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
     by half an hour or more, then to the second; of a file sorted by time, in which they stand in
     pairs, the later ones do. Stamps in an hour that the change leaves out are not readable, and
     counted.
-
-    Examples
-    --------
-    >>> noon = WrittenStamps(np.array([1740830400000000]), np.array([1], np.int8))
-    >>> placed(noon, "Europe/Stockholm").time_us.tolist()
-    [1740826800000000]
     """
     given = stamps.time_us
     readable = (stamps.kind != _NONE) & (given >= EARLIEST_US) & (given < LATEST_US)

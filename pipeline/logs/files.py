@@ -111,10 +111,7 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """Return the record of a file that was read: its span, its nights, and notes on skipped cells.
-
-    Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
-    """
+    """Return the record of a file that was read: its span, nights, and notes on skipped cells."""
     stamps, notes = log.stamps(), list(log.notes)
     notes += [
         f"{counted(part.unparsed, 'cell')} of {name} without a number"

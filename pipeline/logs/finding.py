@@ -278,10 +278,7 @@ class FolderLogs:
         return stat_log(name, self.path(name))
 
     def path(self, name: str) -> Path:
-        """Return a file with the content of a log; of a log that is gone, where it was.
-
-        Raises LogError: ``log_growing``: it is no more as it was when it was listed.
-        """
+        """Return a file with the content of a log; of a log that is gone, where it was."""
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:
@@ -295,10 +292,7 @@ class FolderLogs:
 
 
 class StoredLogs(FolderLogs):
-    """Logs in an object store, each copied to a scratch folder while it is read.
-
-    Raises StoreError if they cannot be listed.
-    """
+    """Logs in an object store, each copied to a scratch folder while it is read."""
 
     def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
         self._spec = spec

@@ -135,10 +135,7 @@ def _is_said(value: Any, known: Any) -> bool:
 def added_files(
     proposal: Proposal, fleet: Fleet, defaults: Document, motor_type: str, oil: str
 ) -> dict[str, str]:
-    """Texts of the files of motors that a fleet does not have, by path below its folder.
-
-    Raises UsageError (``defaults``) where the fleet's defaults would change what was proposed.
-    """
+    """Texts of the files of motors that a fleet does not have, by path below its folder."""
     claimed = {
         (path.resolve(), flow.source, flow.field, spec.file.logs.motor_name)
         for spec in fleet.motors

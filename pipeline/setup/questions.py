@@ -28,10 +28,7 @@ _ALIKE = 5.0
 
 
 class Asked:
-    """Questions, and which of them have no answer yet.
-
-    Raises UsageError (``answer``) for a time zone that there is not, asked for or not.
-    """
+    """Questions, and which of them have no answer yet."""
 
     def __init__(self, answers: Mapping[str, str]) -> None:
         try:

@@ -142,13 +142,7 @@ def motors_of_rows(column: Column, table: Table, tag: str | None) -> Cells:
 
 
 def quality_words(name: str) -> Cells:
-    """Return the words at the end or begin of a name that are those of a quality; empty for none.
-
-    Examples
-    --------
-    >>> [quality_words(name) for name in ("PT.Q", "PT_Status_Code", "Quality(PT)", "Q", "PT")]
-    [('q',), ('status', 'code'), ('quality',), (), ()]
-    """
+    """Return the words at the end or begin of a name that are of a quality; empty for none."""
     words = _words(name)
     if words[-1:] == ("code",) and _is_quality(words[-2:-1]):
         return words[-2:]

@@ -65,10 +65,7 @@ _STANDARD_UNITS = {("FluidPressure", "fluid_pressure"): "Pa", ("Temperature", "t
 
 
 def sniff(path: Path) -> Table:
-    """Tell the dialect and the columns of a log.
-
-    Raises LogError if the file cannot be read, or its lines are no table.
-    """
+    """Tell the dialect and the columns of a log."""
     with readable(path):
         with path.open("rb") as file:
             magic = file.read(8)
@@ -80,10 +77,7 @@ def sniff(path: Path) -> Table:
 
 
 def header_of(path: Path, logs: Logs) -> dict[str, str]:
-    """Columns of a configured log, each with what its header says as a unit; none: it is no table.
-
-    Raises LogError if the file cannot be read.
-    """
+    """Return columns of a configured log, each with the unit in its header; none if no table."""
     if logs.layout != "wide" or logs.format not in ("csv", "parquet"):
         return {}
     with readable(path):

@@ -98,13 +98,7 @@ class Summary(NamedTuple):
 
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
-    """Begins of the records that lie whole in a buffer, and the end of the last of them.
-
-    Examples
-    --------
-    >>> record_offsets(memoryview(PREFIX.pack(CHUNK, 2) + b"abc"))
-    ([0], 11)
-    """
+    """Begins of the records that lie whole in a buffer, and the end of the last of them."""
     offsets: list[int] = []
     # The only loop over single messages: what it needs is looked up once.
     append, unpack, size = offsets.append, PREFIX.unpack_from, len(buffer)

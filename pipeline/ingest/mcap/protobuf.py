@@ -25,11 +25,7 @@ _MOST_NAMES = 40
 
 
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic.
-
-    Raises LogError: ``log_extra_missing``; ``log_damaged`` for descriptors that are none;
-    ``log_column_missing`` for a field that is not in them.
-    """
+    """Decoder of the messages of a topic."""
     message_class, decode_error = _message_class(path, schema)
     descriptor = message_class.DESCRIPTOR
     values: dict[FieldPath, Value] = {}
@@ -97,10 +93,7 @@ def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> I
 
 
 def _value(descriptor: Any, path: FieldPath, *, stamp: bool) -> Value:
-    """Function of a message that gives what a path leads to; only a stamp may be a message.
-
-    Raises LookupError where it leads nowhere, TypeError where to no single value.
-    """
+    """Function of a message that gives what a path leads to; only a stamp may be a message."""
     field = descriptor.fields_by_name[path[0]]
     get, inner, rest = _getter(field), field.message_type, path[1:]
     if inner is not None and _is_map(inner):

@@ -450,6 +450,6 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     assert "has all of these motors" in run(app, options).stdout
     # Not where the defaults would change how its log is read.
     (to / "motors" / "M2.toml").unlink()
-    other = files["fleet.toml"].replace("[defaults.logs]", "[defaults.logs]\nsettle_s = 1.0")
+    other = files["fleet.toml"].replace("[defaults.logs]", "[defaults.logs]\nskip_rows = 1")
     (to / "fleet.toml").write_text(other, "utf-8")
     assert run(app, options).exception.code == "defaults"
