@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pipeline.notebook import Tables
-from pipeline.palette import COLOURS as PENS
+from pipeline.report.charts import COLOURS as PENS
 from validation.record import FLOW, TIME, Record
 
 SOURCE = (

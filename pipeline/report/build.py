@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ from pipeline.store.atomic_files import (
     remove_leftovers,
     store_errors,
 )
-from pipeline.store.tables import files_of, read_rows, table_folder
+from pipeline.store.tables import read_rows, table_folder
 from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import read_decisions
 from pipeline.trends.motor_states import ORDER, MotorState, urgency
@@ -85,21 +86,17 @@ class Folder:
     def __init__(self, path: Path, program: str) -> None:
         self.path, self.program = path, program
         # Files that the report has now with a digest of what they are made from, and those of the
-        # last report; the same of the table files of a month.
+        # last report.
         self.files: dict[str, str] = {}
         self.before: dict[str, str] = {}
-        self.months: dict[str, str] = {}
-        self.months_before: dict[str, str] = {}
         self.written: list[Path] = []
         manifest = path / MANIFEST
         if manifest.exists():
             # Without a sound index all files are made anew, over the present ones.
             with suppress(OSError, ValueError, KeyError, TypeError):
                 last = json.loads(manifest.read_bytes())
-                files, months = dict(last["files"]), dict(last["months"])
-                is_same = last["program"] == program
+                is_same, files = last["program"] == program, dict(last["files"])
                 self.before = files if is_same else dict.fromkeys(files, "")
-                self.months_before = months if is_same else {}
             return
         if path.exists() and not path.is_dir():
             raise StoreError("report_folder", f"{path} is no folder; name another")
@@ -125,11 +122,6 @@ class Folder:
         self.files[name] = known
         return True
 
-    def keep_month(self, month: str, digest: str, names: Iterable[str]) -> bool:
-        """Leave the files of a month; False if its tables have changed, or any must be made."""
-        self.months[month] = digest
-        return self.months_before.get(month) == digest and all(map(self.keep, names))
-
     def close(self) -> int:
         """Remove files that the report has no more, and remember the others; how many went."""
         gone = sorted(self.before.keys() - self.files)
@@ -144,7 +136,7 @@ class Folder:
             # At the end: what the first ones wait for is true of the later ones as well.
             for path in (*self.written, *{file.parent for file in self.written}):
                 flush_path(path)
-        manifest = {"program": self.program, "files": self.files, "months": self.months}
+        manifest = {"program": self.program, "files": self.files}
         content = json.dumps(manifest, separators=(",", ":"), sort_keys=True).encode()
         if (self.path / MANIFEST).read_bytes() != content:
             put(self.path / MANIFEST, content)
@@ -181,15 +173,6 @@ def build_report(
     return ReportResult(len(states), n_nights, len(report.written), report.close())
 
 
-def _motors_by_night(
-    output: Path, ids: Sequence[str], newest: int | None
-) -> dict[dt.date, list[str]]:
-    """Motors that have a row, by night in time order; of the newest nights, or of all."""
-    shown = read_rows(output, NIGHTS, ids, ("motor_id", "night"))
-    groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
-    return dict((groups if newest is None else groups.tail(newest)).iter_rows())
-
-
 def night_file_name(motor_id: str, night: dt.date) -> str:
     """Path of a night's file within the report."""
     return f"data/{motor_id}/{night}.js"
@@ -202,56 +185,41 @@ def _make_nights(
     newest: int | None,
     progress: Callable[[int, int], None],
 ) -> int:
-    """Make the files of motors' nights that are new or changed; of how many nights."""
-    nights = _motors_by_night(output, ids, newest)
+    """Make the files of motors' nights that are new or changed; return of how many nights."""
+    rows = read_rows(output, NIGHTS, ids).sort("night", "motor_id")
+    # By night and motor. The run in a row stands for what else it wrote of the night.
+    digests: dict[dt.date, dict[str, str]] = {}
+    for motor, night, digest in zip(rows["motor_id"], rows["night"], rows.hash_rows(), strict=True):
+        digests.setdefault(night, {})[motor] = f"{digest:016x}"
+    shown = list(digests) if newest is None else list(digests)[max(len(digests) - newest, 0) :]
     n_made = 0
-    for month in sorted({night.replace(day=1) for night in nights}):
-        labels = [night for night in nights if night.replace(day=1) == month]
-        names = [night_file_name(motor, night) for night in labels for motor in nights[night]]
-        if folder.keep_month(f"{month:%Y-%m}", _stamps(output, labels), names):
-            continue
+    for _, labels in groupby(shown, key=lambda night: (night.year, night.month)):
+        changed = [
+            (motor, night)
+            for night in labels
+            for motor, digest in digests[night].items()
+            if not folder.keep(night_file_name(motor, night), digest)
+        ]
+        nights = sorted({night for _, night in changed})
+        motors = sorted({motor for motor, _ in changed})
         of_month = {
-            table.name: finite_rows(output, table, ids, labels).partition_by("night", as_dict=True)
-            for table in EXPLAINED
+            table.name: finite_rows(output, table, motors, nights).partition_by(
+                "motor_id", "night", as_dict=True
+            )
+            for table in (EXPLAINED if changed else ())
         }
-        for night in labels:
-            rows = {name: of[(night,)] for name, of in of_month.items() if (night,) in of}
-            n_made += _make_night(output, night, nights[night], rows, folder)
-            progress(list(nights).index(night) + 1, len(nights))
+        for motor, night in changed:
+            own = {
+                name: some[motor, night]
+                for name, some in of_month.items()
+                if (motor, night) in some
+            }
+            content = f"motorLeakage.night({script_json(night_payload(night, own))});\n"
+            folder.write(night_file_name(motor, night), content.encode(), digests[night][motor])
+        n_made += len(nights)
+        for night in nights:
+            progress(shown.index(night) + 1, len(shown))
     return n_made
-
-
-def _make_night(
-    output: Path,
-    night: dt.date,
-    motor_ids: Sequence[str],
-    rows: Mapping[str, pl.DataFrame],
-    folder: Folder,
-) -> bool:
-    """Make the files of motors in a night that are new or changed; true if any is."""
-    own = {name: by_motor(of) for name, of in rows.items()}
-    of_motors = {
-        motor: {name: of[motor] for name, of in own.items() if motor in of} for motor in motor_ids
-    }
-    digests = {motor: _digest_of(of) for motor, of in of_motors.items()}
-    changed = [
-        motor
-        for motor, digest in digests.items()
-        if not folder.keep(night_file_name(motor, night), digest)
-    ]
-    samples = by_motor(finite_rows(output, PREDICTIONS, changed, [night]))
-    for motor in changed:
-        predictions = {"predictions": samples[motor]} if motor in samples else {}
-        payload = night_payload(night, of_motors[motor] | predictions)
-        content = f"motorLeakage.night({script_json(payload)});\n".encode()
-        folder.write(night_file_name(motor, night), content, digests[motor])
-    return bool(changed)
-
-
-def _stamps(output: Path, nights: Sequence[dt.date]) -> str:
-    """Return a digest of the states of the table files of some nights."""
-    paths = [path for table in EXPLAINED for path in files_of(output, table, nights)]
-    return _digest((path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths)
 
 
 def _digest_of(rows: Mapping[str, pl.DataFrame]) -> str:

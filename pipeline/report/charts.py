@@ -18,12 +18,18 @@ from leakage.estimation.blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array, keep_extremes
 from pipeline.config.motors import Event
 from pipeline.messages import plain
-from pipeline.palette import COLOURS, path_places
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
 from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import LEAKAGE
 from pipeline.trends.sentences import DATED, cause_words
+
+# Of Okabe and Ito, "Color universal design", 2008: distinguished with any kind of colour vision, on
+# white and on black paper.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999")
+# Paths of the thesis's motors have the first places; others follow by name.
+FIRST = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
+
 
 # Times of a chart, or lags [s].
 Times = NDArray[np.datetime64] | Array
@@ -190,6 +196,13 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
     return Panel("Change of the gap, night by night", "%", lines, ends, 150)
 
 
+def path_places(names: Iterable[str]) -> dict[str, int]:
+    """Return place of each path of a motor among colours, line styles and marks."""
+    paths = set(names)
+    order = (*FIRST, *sorted(paths.difference(FIRST)))
+    return {name: place for place, name in enumerate(order) if name in paths}
+
+
 @dataclass(frozen=True, slots=True)
 class Projection:
     """Where the present trend of the leakage reaches the alarm level, from the newest night on."""
@@ -270,8 +283,7 @@ def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
     known = np.concatenate([change, [0.0, alarm, lower[-1], upper[-1]]])
     low, high = float(np.nanmin(known)), float(np.nanmax(known))
     ends = low - 0.08 * (high - low), high + 0.08 * (high - low)
-    flows = motor.level[np.isfinite(motor.level)]
-    right = float(flows[-1]) if len(flows) else None
+    right = motor.baseline_leakage
     unit = "% and l/min" if right else "%"
     return Panel("Leakage against its baseline", unit, tuple(lines), ends, 250, areas, right)
 
@@ -356,7 +368,7 @@ def _changes(motor: MotorHistory, nights: Sequence[dt.date]) -> list[float | Non
 
 def sparkline(motor: MotorHistory, span: tuple[dt.date, dt.date]) -> str:
     """Return a motor's leakage as SVG over the fleet's `span`, broken over long gaps."""
-    leakage, _, _ = motor.leakage
+    leakage = motor.figure("own_leakage_l_per_min")
     known = np.flatnonzero(np.isfinite(leakage))
     if not len(known):
         return ""
@@ -376,9 +388,11 @@ def sparkline(motor: MotorHistory, span: tuple[dt.date, dt.date]) -> str:
     y = height(value[places])
     longest = max(LONGEST_GAP, 3 * length / POINTS)
     letters = np.where(np.diff(days[places], prepend=-np.inf) > longest, "M", "L")
-    level = motor.level[np.isfinite(motor.level)]
+    level = motor.baseline_leakage
     line = "".join(f"{letter}{a:.1f} {b:.1f}" for letter, a, b in zip(letters, x, y, strict=True))
-    baseline = f"M{MARGIN:g} {height(level)[-1]:.1f}H{WIDTH - MARGIN:g}" if len(level) else ""
+    baseline = ""
+    if level is not None:
+        baseline = f"M{MARGIN:g} {height(np.array(level)):.1f}H{WIDTH - MARGIN:g}"
     text = f"Leakage {figure(value.min())} to {figure(value.max())} l/min"
     return (
         f'<svg class="sparkline" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{text}">'

@@ -36,8 +36,6 @@ def finite_rows(
 
 
 RECENT_NIGHTS = 30
-# A figure over a motor's nights and the ends of its interval, shape (n,) each; NaN: none.
-Course = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -86,27 +84,16 @@ class MotorHistory:
         """The same, shape (n,)."""
         return np.array(self.nights, dtype="datetime64[D]")
 
-    @cached_property
-    def leakage(self) -> Course:
-        """Leakage at the motor's own conditions, l/min."""
-        value = self.figure("own_leakage_l_per_min")
-        return value, self.figure("own_leakage_lower"), self.figure("own_leakage_upper")
-
-    @cached_property
-    def level(self) -> Array:
-        """The same of each night's baseline, l/min, shape (n,); NaN before there is any."""
-        level = np.full(len(self.nights), np.nan)
+    @property
+    def baseline_leakage(self) -> float | None:
+        """Leakage of the newest baseline at the motor's own conditions, l/min; None without any."""
         if (known := self.trends.get("own_leakage")) is None:
-            return level
+            return None
         means = self.rows.join(known.select("night", "baseline_mean"), on="night").sort("night")
-        for start, mean in (
-            means.select("baseline_start", "baseline_mean")
-            .drop_nulls()
-            .unique("baseline_start", maintain_order=True)
-            .iter_rows()
-        ):
-            level[self.stamps >= np.datetime64(start)] = mean
-        return level
+        first = means.drop_nulls(("baseline_start", "baseline_mean")).unique(
+            "baseline_start", keep="first", maintain_order=True
+        )
+        return first["baseline_mean"][-1] if first.height else None
 
     @cached_property
     def baselines(self) -> list[tuple[dt.date, dt.date]]:
@@ -118,8 +105,8 @@ class MotorHistory:
         """A figure of `nights`, shape (n,); NaN in nights without it."""
         return self.rows[name].cast(pl.Float64).to_numpy()
 
-    def course(self, indicator: str) -> Course:
-        """An indicator of the nights that count."""
+    def course(self, indicator: str) -> tuple[Array, Array, Array]:
+        """An indicator of the nights that count, and the ends of its interval, shape (n,) each."""
         rows = self.trends[indicator].filter(pl.col("reason").is_null())
         trend = self.rows.select("night").join(rows, on="night", how="left", maintain_order="left")
         value, lower, upper = (
