@@ -20,6 +20,10 @@ NU, ETA = (f'[channels.{name}_viscosity]\nsource = "{name}"\n' for name in ("kin
 VISCOSITY, AT_100 = "viscosity_40_c_mm2_per_s", "viscosity_100_c_mm2_per_s"
 MARCH = "[[events]]\ndate = 2026-03-01\n"
 FLEET = "fleet.toml"
+FLOW, ON_CHANGE = "[channels.leakage_flow]", 'sampling = "on_change"'
+DAY_3, DAY_4 = "2026-01-03T12:00:00", "2026-01-04T12:00:00"
+BOTH = f"[[{DAY_3}Z, {DAY_4}Z]]"
+DELAY, LINE = "override.transport_delay", "line_length_m = 1.0\nline_inner_diameter_mm = 9.0"
 
 Case = tuple[str, str, str, str, str]
 """File, text before (empty: the text is added), text after, key, words of the message."""
@@ -92,6 +96,36 @@ CASES: tuple[Case, ...] = (
     (MOTOR, "", "[override.smoothing]\nwindow = 5.0", "override.smoothing.window", "spelling"),
     (MOTOR, "", "[override.smoothing]\nwindow_s = 500.0", "override.smoothing.window_s", "less"),
     (MOTOR, "", "[override.execution]\nworkers = 99", "override.execution", "is no key"),
+    # What a channel's samples are, the drain line, and periods set by hand
+    *(
+        (MOTOR, FLOW, f"{FLOW}\n{keys}", f"channels.leakage_flow.{key}", words)
+        for keys, key, words in (
+            ('sampling = "on_change"', "longest_silence_s", "expected a time"),
+            # The end of the silence after a sample has to be a date.
+            (f"{ON_CHANGE}\nlongest_silence_s = 1e12", "longest_silence_s", "less than"),
+            ('between = "hold"', "between", "sampling = "),
+            ('sampling = "mean"', "mean_of_s", "together with"),
+            ("mean_of_s = 10.0", "mean_of_s", "together with"),
+            ('counts = "pulses"', "counts", "together with unit"),
+            ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3", "together with counts"),
+            ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at", "cumulative"),
+            ("time_offset_s = 3600.0", "time_offset_s", "less than"),
+            (f'earlier_units = [["bar", {DAY_4}Z]]', "earlier_units", "expected units of"),
+            (f'earlier_units = [["l/h", {DAY_4}]]', "earlier_units.0.1", "timezone"),
+            (f'earlier_units = [["l/h", {DAY_4}Z], ["l/s", {DAY_3}Z]]', "earlier_units", "got"),
+        )
+    ),
+    *(
+        (MOTOR, "", f"[{DELAY}]\n{keys}", f"{DELAY}{key}", words)
+        for keys, key, words in (
+            ("line_length_m = 1.0", "", "together"),
+            ("fixed_s = 61.0", ".fixed_s", "less than"),
+            (f"fixed_s = 1.0\n{LINE}", ".fixed_s", "not both"),
+        )
+    ),
+    (MOTOR, "", f"[periods]\ntraining = [[{DAY_4}Z, {DAY_3}Z]]", "periods", "the later"),
+    (MOTOR, "", f"[periods]\ntraining = [[{DAY_3}, {DAY_4}]]", "periods.training.0.0", "timezone"),
+    (MOTOR, "", f"[periods]\ntraining = {BOTH}\nvalidation = {BOTH}", "periods", "not overlap"),
     # Analyses of the oil, and viscosities in the log
     (MOTOR, "", SAMPLE.replace("46.0", "0.5"), f"oil_samples.0.{VISCOSITY}", "or equal to 2"),
     (MOTOR, "", SAMPLE.replace("46.0", "440.0"), f"oil_samples.0.{VISCOSITY}", "is an event"),

@@ -17,7 +17,7 @@ from leakage.physics.oil import (
     kinematic_viscosity_mm2_per_s,
     walther_coefficients,
 )
-from pipeline.config import Channel, ConfigError, MotorSpec, TransportDelay
+from pipeline.config import Channel, MotorSpec, TransportDelay
 from pipeline.config.oil_samples import OilSample
 from pipeline.night import transport_delay
 from pipeline.night.fit_night import NightOutcome
@@ -92,19 +92,6 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
     outcome = fitted(spec, OPERATION, measured)
     assert refused_of(outcome)["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
     assert fit_of(outcome.rows)["training_fit_percent"] > 99.5
-
-
-@pytest.mark.parametrize(
-    "keys",
-    [
-        "line_length_m = 1.0",
-        "fixed_s = 61.0",
-        "fixed_s = 1.0\nline_length_m = 1.0\nline_inner_diameter_mm = 9.0",
-    ],
-)
-def test_what_does_not_go_together_is_a_fault(tmp_path: Path, keys: str) -> None:
-    with pytest.raises(ConfigError, match="transport_delay"):
-        with_delay(tmp_path, keys)
 
 
 # 20 % thinner than VG 68 (68 and 8.7 mm²/s), 15 % at 100 °C.

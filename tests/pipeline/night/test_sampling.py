@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import ConfigError, MotorSpec, TimeBase
+from pipeline.config import MotorSpec, TimeBase
 from pipeline.config.logs import Logs
 from pipeline.night.cleaning import HAMPEL_THRESHOLD
 from pipeline.night.masks import flow_from_counts, out_of_range
@@ -176,36 +176,6 @@ def test_the_stamp_of_a_mean_is_moved_to_its_middle() -> None:
     for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
         found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **MEANS)
         np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
-
-
-@pytest.mark.parametrize(
-    ("keys", "place"),
-    [
-        ('sampling = "on_change"', "longest_silence_s"),
-        # The end of the silence after a sample has to be a date.
-        ('sampling = "on_change"\nlongest_silence_s = 1e12', "longest_silence_s"),
-        ('between = "hold"', "between"),
-        ('sampling = "mean"', "mean_of_s"),
-        ("mean_of_s = 10.0", "mean_of_s"),
-        ('counts = "pulses"', "counts"),
-        ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3"),
-        ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at"),
-        ("time_offset_s = 3600.0", "time_offset_s"),
-        ('earlier_units = [["bar", 2026-01-04T12:00:00Z]]', "earlier_units"),
-        ('earlier_units = [["l/h", 2026-01-04T12:00:00]]', "earlier_units.0.1"),
-        (
-            'earlier_units = [["l/h", 2026-01-04T12:00:00Z], ["l/s", 2026-01-03T12:00:00Z]]',
-            "earlier_units",
-        ),
-    ],
-)
-def test_keys_that_do_not_go_together_are_faults_by_name(
-    tmp_path: Path, keys: str, place: str
-) -> None:
-    text = motor_toml("M1").replace("[channels.leakage_flow]", f"[channels.leakage_flow]\n{keys}")
-    with pytest.raises(ConfigError) as caught:
-        load_motor(tmp_path, text)
-    assert f"channels.leakage_flow.{place}" in {fault.key for fault in caught.value.faults}
 
 
 def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None:

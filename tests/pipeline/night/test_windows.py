@@ -21,7 +21,6 @@ from leakage.estimation.blocks import (
     split_into_blocks,
     within,
 )
-from pipeline.config import ConfigError
 from tests.pipeline.night.noise_free import configured_flow, fit, refused_of
 from tests.pipeline.simulated import load_motor, motor_toml, operate
 
@@ -141,17 +140,3 @@ def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(
     if not reason:
         row = outcome.rows["fits"][0]
         assert (row["n_training"], row["n_validation"]) == (n_training, n_validation)
-
-
-@pytest.mark.parametrize(
-    "periods",
-    [
-        "training = [[2026-03-01T22:00:00Z, 2026-03-01T21:00:00Z]]",
-        "training = [[2026-03-01T22:00:00, 2026-03-01T23:00:00]]",
-        "training = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n"
-        "validation = [[2026-03-01T22:59:00Z, 2026-03-01T23:30:00Z]]",
-    ],
-)
-def test_periods_that_make_no_sense_are_faults(tmp_path: Path, periods: str) -> None:
-    with pytest.raises(ConfigError, match="periods"):
-        load_motor(tmp_path, motor_with(periods))

@@ -31,9 +31,14 @@ from pipeline.trends.nights import (
     period_at,
 )
 from pipeline.trends.tasks import TrendMotor
-from pipeline.trends.trend_rows import oil_as_measured, viscosity_ratio
+from pipeline.trends.trend_rows import (
+    Zero,
+    oil_as_measured,
+    sensor_zeros,
+    tolerance,
+    viscosity_ratio,
+)
 from pipeline.trends.watch_columns import WatchColumns
-from pipeline.trends.zeros import Zero, sensor_zeros, tolerance
 from tests.pipeline.simulated import with_file
 from tests.pipeline.trends.nights import (
     DAY,
