@@ -41,9 +41,6 @@ from pipeline.store.tables import (
     whole_file,
 )
 
-# In place of the SHA-256 of a file that is replaced in any case.
-UNREAD = "unread"
-
 # Views of all tables for DuckDB, and its names of types.
 VIEWS = "views.sql"
 TYPES = {
@@ -167,8 +164,8 @@ class Publisher:
         self._vacate(staged)
         for month in months:
             keys = [key for key in staged if key[1][:7] == month]
-            works = [partial(self._with_staged, *key, staged[key]) for key in keys]
-            self._publish(works, published if month == months[-1] else lambda: None)
+            files = (self._with_staged(*key, staged[key]) for key in keys)
+            self._publish(files, published if month == months[-1] else lambda: None)
         if not months:
             with self.state.transaction():
                 published()
@@ -178,20 +175,19 @@ class Publisher:
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is a single file, whatever is there; raises as `nights`."""
         path = whole_file(self.state.output, table)
-        before = verify_file(self.state, name_of(self.state.output, path)).sha256 or UNREAD
-        self._publish([partial(_new_file, path, rows, before)])
+        before = verify_file(self.state, name_of(self.state.output, path)).sha256
+        self._publish([_new_file(path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
         """Add rows to a month (YYYY-MM) of tables; those of the same key go; raises as `nights`."""
-        works = []
-        for table, some in rows.items():
-            change = partial(_with_rows, table, frame(table, some))
-            works.append(partial(self._changed, table, month, change))
-        self._publish(works)
+        self._publish(
+            self._changed(table, month, partial(_with_rows, table, frame(table, some)))
+            for table, some in rows.items()
+        )
 
     def change(self, table: Table, label: str, change: Change) -> None:
         """Change the rows of a table file, if any are others; raises as `nights`."""
-        self._publish([partial(self._changed, table, label, change)])
+        self._publish([self._changed(table, label, change)])
 
     def _with_staged(self, table: Table, label: str, staged: Mapping[str, Staged]) -> NewFile:
         """Return the file with the staged rows that go into it."""
@@ -209,36 +205,27 @@ class Publisher:
         }
         for table, label in sorted(keys, key=lambda key: key[1]):
             others = pl.concat(some for key, some in keys.items() if key != (table, label))
-            change = partial(_with_rows, table, frame(table, []), replaced=others)
-            self._publish([partial(self._changed, table, label, change)])
+            self.change(table, label, partial(_with_rows, table, frame(table, []), replaced=others))
 
     def _changed(self, table: Table, label: str, change: Change) -> NewFile:
-        """Return a file with other rows."""
+        """Return a file with other rows; none are added to a damaged file."""
         path = labelled_file(self.state.output, table, label)
-        before, rows = self._present(path, table)
-        return _new_file(path, change(rows), before)
-
-    def _present(self, path: Path, table: Table) -> tuple[str, pl.DataFrame]:
-        """Return SHA-256 and rows of a file that is there; no rows are added to a damaged file."""
         file = verify_file(self.state, name_of(self.state.output, path))
         if file.fault is not None:
             if file.fault.code == "table_altered":
                 set_aside(self.state, file.name)
             raise damaged(path, table, file.fault.message)
         if file.sha256 is None:
-            return NO_FILE, frame(table, [])
-        return file.sha256, from_parquet(path, table, file.content)
+            return _new_file(path, change(frame(table, [])), NO_FILE)
+        return _new_file(path, change(from_parquet(path, table, file.content)), file.sha256)
 
     def _publish(
-        self,
-        works: Iterable[Callable[[], NewFile]],
-        published: Callable[[], object] = lambda: None,
+        self, files: Iterable[NewFile], published: Callable[[], object] = lambda: None
     ) -> None:
         """Prepare files, put them into their places, and note them before and afterwards."""
         named: dict[str, NewFile] = {}
         with ExitStack() as undone:
-            for work in works:
-                file = work()
+            for file in files:
                 if file.prepared is not None:
                     undone.callback(file.prepared.drop)
                 named[name_of(self.state.output, file.path)] = file
@@ -255,7 +242,7 @@ class Publisher:
             undone.pop_all()
 
 
-def _new_file(path: Path, rows: pl.DataFrame, before: str) -> NewFile:
+def _new_file(path: Path, rows: pl.DataFrame, before: str | None) -> NewFile:
     """Return a file with some rows; where none is there, and none is to come, none is made."""
     if before == NO_FILE and rows.is_empty():
         return NewFile(path, None)
