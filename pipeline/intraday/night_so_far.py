@@ -38,10 +38,10 @@ from pipeline.night.time_base import Insufficient
 from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows
 from pipeline.trends.checkpoint import decoded, key_of
-from pipeline.trends.course import watch_settings
+from pipeline.trends.course import Course, watch_settings
 from pipeline.trends.decisions import Decision
-from pipeline.trends.nights import periods_of, read_blocks
-from pipeline.trends.tasks import trend_hash
+from pipeline.trends.nights import read_blocks, read_nights
+from pipeline.trends.tasks import Record, TrendMotor, trend_hash
 from pipeline.trends.watch_columns import WatchColumns
 
 # Latest samples are left out: what follows may be a halt, and its guard time reaches back [µs].
@@ -188,52 +188,36 @@ def nights_before(
     label: dt.date,
 ) -> NightsBefore:
     """Return the watch before a night, by what the last nightly run left of it."""
-    checkpoint = decoded(content)
+    checkpoint, trends, last = decoded(content), trend_hash(spec, decisions), label - DAY
     if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")
-    if checkpoint.key != key_of(trend_hash(spec, decisions)):
+    if checkpoint.key != key_of(trends):
         raise Insufficient("", "settings, events or resets have changed: the nightly run redoes it")
-    if any(checkpoint.last_night < event.date <= label for event in spec.file.baseline_events):
+    record = Record(trends, checkpoint.last_night)
+    motor = TrendMotor(spec, tuple(decisions), record, trends, label, last, content)
+    nights = read_nights(output, [(motor,)], with_rows=False).get(spec.motor_id)
+    course = nights and Course.of(output, nights)
+    if not course:
+        raise Insufficient("", "there is no night before")
+    while course.nights_to_come:
+        course.step()
+    needed, watch = watch_settings(spec).baseline_nights, course.watch
+    if watch is None:
+        raise Insufficient("", f"{len(course.waiting)} of {needed} nights of a baseline")
+    watched = dt.date.fromordinal(watch.day)
+    if any(watched < event.date <= label for event in spec.file.baseline_events):
         raise Insufficient("", "a new baseline begins")
-    last = label - DAY
-    watch_columns = WatchColumns.of(spec, last)
-    newest = periods_of(spec, decisions, checkpoint.records)[-1]
-    period: dt.date = checkpoint.records["night"][newest.first].item()
-    machine, settings, known = (
-        watch_columns.machine(spec, period),
-        watch_settings(spec),
-        checkpoint.watch,
-    )
-    if known is not None and (known.period != period or known.day >= label.toordinal()):
-        known = None
-    begin = period.toordinal() if known is None else known.day + 1
-    first = min(dt.date.fromordinal(begin), label - USUAL_NIGHTS * DAY)
-    nights = read_blocks(output, spec, watch_columns, nights_between(max(first, period), last))
-    new = [night for night in nights if night.day >= begin]
-    if known is not None:
-        watch = Watch.of_arrays(machine, settings, known.arrays)
-    elif len(new) < settings.baseline_nights:
-        why = f"{len(new)} of {settings.baseline_nights} nights of a baseline"
-        raise Insufficient("", why)
-    else:
-        watch = Watch.begin(machine, new[: settings.baseline_nights], settings)
-        new = new[settings.baseline_nights :]
-    for night in new:
-
-        def earlier(day: int, until: int = night.day) -> list[NightBlocks]:
-            since = nights_between(dt.date.fromordinal(day), dt.date.fromordinal(until))
-            return read_blocks(output, spec, watch_columns, since)
-
-        watch = watch.after(night, earlier)
+    watch_columns, begin = course.nights.watch_columns, course.nights.labels[course.period.first]
+    usual = nights_between(max(label - USUAL_NIGHTS * DAY, begin), last)
+    before = read_blocks(output, spec, watch_columns, usual)
     apart = [
-        float(np.median(np.diff(blocks.middle_s))) for blocks in nights if len(blocks.flow) > 1
+        float(np.median(np.diff(blocks.middle_s))) for blocks in before if len(blocks.flow) > 1
     ]
-    length_s = float(np.median(apart)) if apart else 0.0
-    merged = max(1, round(length_s / BLOCK_S))
+    merged = max(1, round(float(np.median(apart)) / BLOCK_S)) if apart else 1
     rows = [
-        {COLUMNS[name]: value for name, value in _readings(blocks).items()} for blocks in nights
+        {COLUMNS[name]: value for name, value in _readings(blocks).items()} for blocks in before
     ]
-    return NightsBefore(watch, watch_columns, merged, usual_readings(rows[-USUAL_NIGHTS:]))
+    return NightsBefore(watch, watch_columns, merged, usual_readings(rows))
 
 
 def _readings(blocks: NightBlocks) -> dict[str, float]:

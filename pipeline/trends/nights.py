@@ -199,14 +199,17 @@ class PublishedNights:
         return agreement(factor, theta, channel.resolution).fit_percent
 
 
-def read_nights(output: Path, circuits: Sequence[Circuit]) -> dict[str, PublishedNights]:
-    """Return the nights of the motors of some oil circuits; nothing of a motor without a night."""
+def read_nights(
+    output: Path, circuits: Sequence[Circuit], *, with_rows: bool = True
+) -> dict[str, PublishedNights]:
+    """Return the nights of motors that have any; without rows what their watches need alone."""
     motors = {
         motor.spec.motor_id: PublishedNights(motor, _checkpoint(motor))
         for circuit in circuits
         for motor in circuit
     }
-    _read_rows(output, motors)
+    if with_rows:
+        _read_rows(output, motors)
     for nights in motors.values():
         nights.records = _records(nights)
     motors = {name: nights for name, nights in motors.items() if len(nights)}
