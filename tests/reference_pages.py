@@ -21,8 +21,7 @@ from pydantic import AwareDatetime
 from pydantic.fields import FieldInfo
 
 from pipeline.config import MotorFile, Settings
-from pipeline.config.motor_types import MotorTypeFile, OilFile, PathSection, Unknown
-from pipeline.config.oil_samples import OilCircuitFile
+from pipeline.config.motor_types import MotorTypeFile, OilCircuitFile, OilFile, PathSection, Unknown
 from pipeline.config.section import Section
 from pipeline.config.settings import FleetFile
 from pipeline.schema import (

@@ -25,7 +25,7 @@ from pipeline.config.logs import Logs
 from pipeline.demo import shipped_configs
 from pipeline.ingest import csv as csv_log
 from pipeline.ingest import parquet
-from pipeline.ingest.mcap import layout as mcap_layout
+from pipeline.ingest.mcap import messages as mcap_messages
 from tests.pipeline.cli.test_extras import stated
 from tests.pipeline.cli.test_reference import keys
 from tests.reference_pages import PAGES
@@ -186,7 +186,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     assert f"a header {csv_log.MOST_CELLS} cells" in text
     assert parquet.MOST_ROWS == 2**27
     assert f"{parquet.MOST_ROWS_A_BYTE} a byte" in text
-    assert f"a chunk of MCAP has {mcap_layout.LARGEST_CHUNK // mib} MiB" in text
+    assert f"a chunk of MCAP has {mcap_messages.LARGEST_CHUNK // mib} MiB" in text
 
 
 def test_stated_exit_codes_are_those_of_the_command() -> None:

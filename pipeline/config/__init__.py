@@ -1,9 +1,8 @@
 """Typed config: the only door for settings.
 
 `loading` reads a fleet's files, with the faults that only show between them, into `fleet`. A module
-a file: `settings` (fleet file, with `alarms`), `motors` (with `logs` and `channels`),
-`motor_types`, `oil_samples`. `hashes` says what a change of settings makes anew; `nights` are the
-days of a fleet.
+a file: `settings` (fleet file, with `alarms`), `motors` (with `logs` and `channels`), `motor_types`
+(with oils). `hashes` says what a change of settings makes anew; `nights` are a fleet's days.
 """
 
 from pipeline.config.alarms import Alarms

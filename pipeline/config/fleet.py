@@ -10,9 +10,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
 from leakage import FilmPressure, Motor
-from pipeline.config.motor_types import MotorTypeFile, OilFile
+from pipeline.config.motor_types import (
+    MotorTypeFile,
+    OilFile,
+    OilSample,
+    Walther,
+    measured_curve,
+)
 from pipeline.config.motors import MotorFile
-from pipeline.config.oil_samples import OilSample, Walther, measured_curve
 from pipeline.config.settings import Execution, Settings
 from pipeline.errors import UsageError
 

@@ -21,9 +21,8 @@ from leakage import LeakageError, leakage_l_per_min
 from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.config.channels import COUNTED
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, is_url, overlap
-from pipeline.config.motor_types import MotorTypeFile, OilFile
+from pipeline.config.motor_types import FURTHEST, MotorTypeFile, OilCircuitFile, OilFile
 from pipeline.config.motors import MotorFile
-from pipeline.config.oil_samples import FURTHEST, OilCircuitFile
 from pipeline.config.section import ConfigError, Fault, Section, fault_at, fault_of
 from pipeline.config.settings import FleetFile, Folders, Settings
 
@@ -167,7 +166,7 @@ def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
             yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
         oil, at_40 = spec.oil_on(sample.date).oil(), sample.viscosity_40_c_mm2_per_s
         sheet = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
-        if at_40 is not None and not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
+        if not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
             message = (
                 f"expected {sheet / FURTHEST:.3g} to {FURTHEST * sheet:.3g}, as {oil.name} has "
                 f"{sheet:.3g}; another oil is an event"

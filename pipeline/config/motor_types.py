@@ -1,23 +1,29 @@
-"""Motor types and oils: a type is a declared list of leakage paths, an oil its data sheet.
+"""Motor types and oils: a type is a list of leakage paths, an oil its data sheet and analyses.
 
 Other motor families, and paths that the thesis leaves out, are files, not code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import datetime as dt
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
 from leakage.physics.motor import FIXED_COLUMNS
-from leakage.physics.oil import walther_coefficients
+from leakage.physics.oil import walther_coefficients, walther_through
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Law
 from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
 from pipeline.config.section import Id, Misfit, NonNegative, Positive, Section, Stage, left_out
 
 BAR = 1e5
+Walther = tuple[float, float]
+# A viscosity further from the data sheet, by this factor, is a slip or another oil.
+FURTHEST = 3.0
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Source = Annotated[str, Field(min_length=1)]
@@ -284,3 +290,72 @@ class OilFile(Section):
             thermal_expansion_per_k=self.thermal_expansion_per_k,
             pressure_viscosity_per_pa=self.pressure_viscosity_per_pa,
         )
+
+
+# Oil in use
+
+
+class OilSample(Section):
+    """An analysis of the oil in use."""
+
+    shapes = Stage.FIGURES
+
+    date: dt.date
+    """Day on which it was drawn."""
+    viscosity_40_c_mm2_per_s: float = Field(ge=2, le=2000)
+    """Kinematic viscosity at 40 °C."""
+    viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = None
+    """The same at 100 °C; by default by the data sheet's slope."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        at_100 = self.viscosity_100_c_mm2_per_s
+        if at_100 is not None and at_100 >= self.viscosity_40_c_mm2_per_s:
+            yield self.at("viscosity_100_c_mm2_per_s", "expected less than at 40 °C")
+
+    def curve(self, oil: OilFile) -> Walther:
+        """Return Walther constants of the sample."""
+        at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
+        if at_100 is not None:
+            return walther_coefficients(40.0, at_40, 100.0, at_100)
+        slope = oil.oil().walther_b
+        return walther_through(40.0, at_40, slope), slope
+
+
+class OilCircuitFile(Section):
+    """`oil_circuits/<oil_circuit>.toml`: samples of the oil that motors share."""
+
+    oil_samples: tuple[OilSample, ...] = ()
+    """Analyses of the oil, by date."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        return order_faults(self.oil_samples)
+
+
+def order_faults(samples: Sequence[OilSample]) -> Iterator[Misfit]:
+    """Yield samples that are not in order of their dates."""
+    for index, (before, after) in enumerate(pairwise(samples), start=1):
+        if after.date <= before.date:
+            message = f"expected a date after {before.date}, that of the sample before"
+            yield ("oil_samples", index, "date"), message, after.date.isoformat()
+
+
+def measured_curve(
+    samples: Sequence[OilSample], oil: OilFile, filled: dt.date | None, night: dt.date
+) -> Walther | None:
+    """Return Walther constants in a night by the samples of a filling; None: by the data sheet.
+
+    Between two samples A and B are linear in time, and so is log log Z = A − B log T (ASTM D341).
+    A filling with a date begins as the data sheet has it.
+    """
+    known = [(sample.date, sample.curve(oil)) for sample in samples]
+    if known and filled is not None and filled < known[0][0]:
+        sheet = oil.oil()
+        known.insert(0, (filled, (sheet.walther_a, sheet.walther_b)))
+    if not known or night < known[0][0]:
+        return None
+    days = [date.toordinal() for date, _ in known]
+    a, b = (
+        float(np.interp(night.toordinal(), days, constants))
+        for constants in zip(*(curve for _, curve in known), strict=True)
+    )
+    return a, b

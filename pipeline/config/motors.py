@@ -23,8 +23,8 @@ from pipeline.config.channels import (
 )
 from pipeline.config.dialect import field_path
 from pipeline.config.logs import Logs
+from pipeline.config.motor_types import OilSample, order_faults
 from pipeline.config.nights import Night
-from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.section import (
     Id,
     Misfit,
@@ -113,14 +113,12 @@ class FlushingTable(Section):
     """Other modes to fit beside the primary."""
     flow_l_per_min: NonNegative = 0.0
     """The fixed value, or the first starting point."""
-    minimum_l_per_min: NonNegative = 0.0
-    """Lower bound where estimated."""
     maximum_l_per_min: NonNegative = 20.0
     """Upper bound where estimated."""
 
     def misfits(self) -> Iterator[Misfit]:
-        if not self.minimum_l_per_min <= self.flow_l_per_min <= self.maximum_l_per_min:
-            yield (), "expected minimum_l_per_min <= flow_l_per_min <= maximum_l_per_min", None
+        if self.flow_l_per_min > self.maximum_l_per_min:
+            yield (), "expected flow_l_per_min <= maximum_l_per_min", None
         if len({self.mode, *self.also}) != 1 + len(self.also):
             yield (), "expected each mode once among mode and also", None
 
@@ -132,9 +130,7 @@ class FlushingTable(Section):
     def path(self, mode: str) -> Constant:
         """Return the flushing of a mode as a constant path."""
         flow = 0.0 if mode == "none" else self.flow_l_per_min
-        limits = (flow, flow)
-        if mode == "estimated":
-            limits = (self.minimum_l_per_min, self.maximum_l_per_min)
+        limits = (0.0, self.maximum_l_per_min) if mode == "estimated" else (flow, flow)
         return Constant(
             FLUSHING_PATH,
             Parameter(FLUSHING_PARAMETER, "l_per_min", flow, *limits, fixed=mode != "estimated"),

@@ -199,20 +199,18 @@ def _finite(value: float) -> float | None:
 
 
 def oil_as_measured(nights: PublishedNights, place: int) -> str:
-    """Return measured viscosity of a night's oil in words, and its water; empty if not measured."""
+    """Return measured viscosity of a night's oil in words; empty if not measured."""
     ratio, night = viscosity_ratio(nights, place), nights.labels[place]
     if ratio is None:
         return ""
     percent = 100.0 * (ratio - 1.0)
     size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
     words = "as its data sheet" if abs(percent) < 0.5 else size
-    samples = [sample for sample in nights.spec.samples_of(night) if sample.date <= night]
-    measured = [sample.date for sample in samples if sample.viscosity_40_c_mm2_per_s is not None]
-    water = [sample.water_mg_per_kg for sample in samples if sample.water_mg_per_kg is not None]
+    dates = (sample.date for sample in nights.spec.samples_of(night))
+    measured = [date for date in dates if date <= night]
     by_log = any(name in nights.spec.file.channels for name in VISCOSITIES)
     source = "by the log" if by_log or not measured else f"on {day(measured[-1])}"
-    wet = f", water {water[-1]:g} mg/kg" if water else ""
-    return f"oil as measured {source}: {words}{wet}"
+    return f"oil as measured {source}: {words}"
 
 
 def viscosity_ratio(nights: PublishedNights, place: int) -> float | None:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Rows
 from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.mcap.layout import fields_at
-from pipeline.ingest.mcap.messages import Messages
+from pipeline.ingest.mcap.messages import Messages, fields_at
 from pipeline.ingest.time_stamps import LATEST_US, WrittenStamps, written, written_as_numbers
 
 SECONDS = ("sec", "secs", "seconds")

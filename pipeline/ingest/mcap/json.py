@@ -34,7 +34,7 @@ from pipeline.ingest.mcap.decoding import (
     stamps_of_numbers,
     value_at,
 )
-from pipeline.ingest.mcap.layout import column, fields_at
+from pipeline.ingest.mcap.messages import column, fields_at
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 _MOST_SHAPES = 32

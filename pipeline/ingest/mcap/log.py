@@ -30,8 +30,7 @@ from pipeline.ingest.mcap.decoding import (
     stacked,
 )
 from pipeline.ingest.mcap.json import json_decoder, json_object
-from pipeline.ingest.mcap.layout import NO_SCHEMA, read_summary
-from pipeline.ingest.mcap.messages import Messages, read_messages
+from pipeline.ingest.mcap.messages import NO_SCHEMA, Messages, read_messages, read_summary
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
 from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
 

@@ -41,7 +41,7 @@ from pipeline.ingest.mcap.decoding import (
     stamps_of_numbers,
     value_at,
 )
-from pipeline.ingest.mcap.layout import column
+from pipeline.ingest.mcap.messages import column
 
 _ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 """Representation identifiers of plain CDR: high byte first, low byte first."""

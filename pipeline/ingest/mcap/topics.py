@@ -15,9 +15,8 @@ from mcap.records import Channel, Schema
 from pipeline.config.dialect import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import Wanted, leaves, number_of, value_at
-from pipeline.ingest.mcap.layout import NO_SCHEMA, read_summary
 from pipeline.ingest.mcap.log import decoder_of
-from pipeline.ingest.mcap.messages import Messages, read_messages
+from pipeline.ingest.mcap.messages import NO_SCHEMA, Messages, read_messages, read_summary
 
 MESSAGES_READ = 50
 UNIT_KEYS = ("unit", "units", "uom", "x-unit")

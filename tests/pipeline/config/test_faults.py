@@ -131,7 +131,6 @@ CASES: tuple[Case, ...] = (
     (MOTOR, "", SAMPLE.replace("46.0", "440.0"), f"oil_samples.0.{VISCOSITY}", "is an event"),
     (MOTOR, "", f"{SAMPLE}{AT_100} = 46.0", f"oil_samples.0.{AT_100}", "less than"),
     (MOTOR, "", SAMPLE.replace("2020", "9998"), "oil_samples.0.date", "a day that has come"),
-    (MOTOR, "", "[[oil_samples]]\ndate = 2020-01-05", "oil_samples.0", "or water_mg_per_kg"),
     (MOTOR, "", SAMPLE + SAMPLE, "oil_samples.1.date", "expected a date after 2020-01-05"),
     (MOTOR, "", f'{NU}unit = "cP"', "channels.kinematic_viscosity.unit", "expected one of mm2/s"),
     (MOTOR, "", f'{NU}unit = "cSt"\n{ETA}unit = "cP"', "channels", "not both"),

@@ -18,7 +18,7 @@ from leakage.physics.oil import (
     walther_coefficients,
 )
 from pipeline.config import Channel, MotorSpec, TransportDelay
-from pipeline.config.oil_samples import OilSample
+from pipeline.config.motor_types import OilSample
 from pipeline.night import transport_delay
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.refit import PublishedNight, refit

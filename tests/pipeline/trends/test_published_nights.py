@@ -14,8 +14,8 @@ import pytest
 from leakage import OperatingConditions, regressors
 from leakage.watch import Estimate, NightBlocks
 from pipeline.config import Channel, MotorSpec
+from pipeline.config.motor_types import OilSample
 from pipeline.config.motors import Event
-from pipeline.config.oil_samples import OilSample
 from pipeline.config.settings import Conditions
 from pipeline.schema import BLOCKS
 from pipeline.trends.checkpoint import blank_records
@@ -247,8 +247,8 @@ def test_where_the_flushing_is_estimated_nobody_knows_the_flow_sensors_zero() ->
     assert zeros[PRESSURE_ZERO].state[-1] == "ok"
 
 
-def sample(place: int, at_40: float | None = None, water: float | None = None) -> OilSample:
-    return OilSample(date=night_of(place), viscosity_40_c_mm2_per_s=at_40, water_mg_per_kg=water)
+def sample(place: int, at_40: float) -> OilSample:
+    return OilSample(date=night_of(place), viscosity_40_c_mm2_per_s=at_40)
 
 
 def sampled(*samples: OilSample) -> MotorSpec:
@@ -259,16 +259,15 @@ def sampled(*samples: OilSample) -> MotorSpec:
     ("spec", "ratio", "expected"),
     [
         (sampled(), None, ""),
-        (sampled(sample(0, water=70.0)), None, ""),
         (
             sampled(sample(0, 54.4)),
             0.8,
             "oil as measured on 2 January 2026: 20 % thinner than its data sheet",
         ),
         (
-            sampled(sample(5, 75.0, 70.0)),
+            sampled(sample(5, 75.0)),
             1.1,
-            "oil as measured on 7 January 2026: 10 % thicker than its data sheet, water 70 mg/kg",
+            "oil as measured on 7 January 2026: 10 % thicker than its data sheet",
         ),
         (
             logged(motor()),

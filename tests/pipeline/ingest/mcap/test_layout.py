@@ -18,8 +18,7 @@ from mcap.writer import Writer
 import pipeline.ingest.mcap.messages
 from pipeline.ingest import time_span
 from pipeline.ingest.conformance import T0_US
-from pipeline.ingest.mcap.layout import record_offsets
-from pipeline.ingest.mcap.messages import offsets_in_chunk
+from pipeline.ingest.mcap.messages import offsets_in_chunk, record_offsets
 from tests.pipeline.ingest.mcap_files import (
     DP,
     MAGIC,
