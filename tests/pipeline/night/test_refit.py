@@ -114,6 +114,8 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     made = night(spec).rows
     moved = freed(with_settings(spec, "reference", pressure_bar=100.0))
     anew = refit(moved, PublishedNight(NIGHT, made, frame(BLOCKS, made["blocks"])))
+    # Without stored blocks, as where they were pruned, the log has to be read.
+    assert refit(moved, PublishedNight(NIGHT, made, None)) is None
     read = night(moved)
     for name in ("fitted_leakage_sensor_l_per_min", "fitted_leakage_l_per_min"):
         assert anew.rows["fits"][0][name] == pytest.approx(read.rows["fits"][0][name], rel=0.02)

@@ -69,7 +69,7 @@ def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
 
 def test_wear_that_goes_on_is_reported_once_a_state(tmp_path: Path) -> None:
     """A ramp is detected again and again as it grows: no alarm, unless its state changes."""
-    config, output = fleet_of(tmp_path, Nights(motor(), 36, {"balance_sleeve": ramp(36, 12, 1.2)}))
+    config, output = fleet_of(tmp_path, Nights(motor(), 30, {"balance_sleeve": ramp(30, 10, 1.2)}))
     run(config)
     detected = pl.col("still_rising") & (pl.col("detected_on") == pl.col("night"))
     again = published_trends(output, NIGHTS).filter(detected)
@@ -159,16 +159,16 @@ def test_what_is_made_anew_notifies_of_what_is_in_force_and_of_nothing_past(
 
 def test_what_is_said_of_a_motor_moves_nothing_reported_of_the_others(tmp_path: Path) -> None:
     tank = [
-        Nights(named(motor(), name, "mill"), 18, {"oil": step(18, 12, 0.2)}, seed=seed)
+        Nights(named(motor(), name, "mill"), 13, {"oil": step(13, 10, 0.2)}, seed=seed)
         for seed, name in enumerate("ABC", 1)
     ]
     config, output = fleet_of(tmp_path, *tank)
     run(config)
     before = {table: published_trends(output, table, "B") for table in TREND_TABLES}
-    assert set(before[NIGHTS]["state"][14:]) == {"common_cause"}
-    record_decision(output, reset(12, motor_id="A"))
+    assert set(before[NIGHTS]["state"][11:]) == {"common_cause"}
+    record_decision(output, reset(10, motor_id="A"))
     run(config)
-    assert published_trends(output, NIGHTS, "A")["state"][13] == "insufficient"
+    assert published_trends(output, NIGHTS, "A")["state"][11] == "insufficient"
     for table, rows in before.items():
         assert_frame_equal(published_trends(output, table, "B"), rows)
 
