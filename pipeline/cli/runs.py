@@ -177,7 +177,7 @@ def fit(
     from tempfile import TemporaryDirectory
 
     from pipeline.logs.processed import paired_as_published
-    from pipeline.report.audit import audit
+    from pipeline.report.explain import audit
     from pipeline.report.explain import explain as explained
     from pipeline.run.fleet import RunRequest, run_fleet
 

@@ -32,8 +32,7 @@ from pipeline.night.fit_night import (
     require_parts,
 )
 from pipeline.night.sample_rows import block_rows
-from pipeline.night.statistics import night_statistics, sensor_ratio
-from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.night.statistics import BLOCK_COLUMNS, night_statistics, sensor_ratio
 from pipeline.night.time_base import Insufficient
 from pipeline.schema import BLOCKS, staged_table
 from pipeline.store.tables import read_rows

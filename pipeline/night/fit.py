@@ -38,10 +38,11 @@ from leakage.estimation.sensitivities import (
     Tolerances,
     error_budget,
 )
+from leakage.estimation.uncertainty import Interval
+from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.channels import Channel
-from pipeline.night.statistics import NightStatistics
-from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.statistics import NightStatistics, StoredBlocks
 from pipeline.schema import Row
 
 REFERENCE, OWN = "fitted_leakage", "own_conditions_leakage"
@@ -228,37 +229,29 @@ def _errors(
             # The night is fitted before its motor's own change with temperature is known.
             UNKNOWN_PER_KELVIN * apart_k * gaps,
         )
-    paths = {
-        path.coefficient_name: place
-        for place, path in enumerate(fitted.motor.coefficient_paths)
-        if path is not None and not fixed[place]
-    }
-    contrasts = {name: np.append(row[:-2], 0.0) for name, row in rows.items()}
-    contrasts |= {name: np.eye(len(fixed))[place] for name, place in paths.items()}
-    intervals = {
-        name: None if distribution is None else distribution.interval(contrasts[name])
-        for name in rows
-    }
-    intervals |= {
-        name: identification.coefficients[place].information for name, place in paths.items()
-    }
-    model: list[float | None] = [None] * len(contrasts)
-    taus = [misfits[0]] * len(rows) + [misfits[1]] * len(paths)
-    if any(taus):
-        reach = model_errors(made.whole, fixed, np.array([*contrasts.values()]), 1.0)
-        factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
-        model = [
-            None if tau is None else float(size * tau.l_per_min)
-            for size, tau in zip(factor * reach, taus, strict=True)
-        ]
+    # Name, contrast, interval by the samples, misfit, and what a figure takes of the misfit.
+    figures: list[tuple[str, Array, Interval | None, Misfit | None, float]] = []
+    for name, row in rows.items():
+        contrast = np.append(row[:-2], 0.0)
+        interval = None if distribution is None else distribution.interval(contrast)
+        figures.append((name, contrast, interval, misfits[0], LEAKAGE_FACTOR))
+    for place, path in enumerate(fitted.motor.coefficient_paths):
+        if path is not None and not fixed[place]:
+            contrast = np.eye(len(fixed))[place]
+            interval = identification.coefficients[place].information
+            name = path.coefficient_name
+            figures.append((name, contrast, interval, misfits[1], COEFFICIENT_FACTOR))
+    reach = np.zeros(len(figures))
+    if any(misfits):
+        reach = model_errors(made.whole, fixed, np.array([figure[1] for figure in figures]), 1.0)
     return {
         name: ErrorParts(
             None if interval is None else interval.half_width,
             sensors.get(name, 0.0),
-            part,
+            None if misfit is None else float(factor * size * misfit.l_per_min),
             constants if name == REFERENCE else 0.0,
         )
-        for (name, interval), part in zip(intervals.items(), model, strict=True)
+        for (name, _, interval, misfit, factor), size in zip(figures, reach, strict=True)
     }
 
 

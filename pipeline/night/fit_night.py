@@ -25,8 +25,7 @@ from pipeline.night.fit import fit_modes
 from pipeline.night.residuals import night_residuals
 from pipeline.night.rows import Rows, fit_rows, night_row, of_fit, unfitted_row
 from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
-from pipeline.night.statistics import NightStatistics, night_statistics, sensor_ratio
-from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.statistics import NightStatistics, StoredBlocks, night_statistics, sensor_ratio
 from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
 from pipeline.night.time_order import SharedStamps
 from pipeline.schema import Row

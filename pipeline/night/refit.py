@@ -25,7 +25,7 @@ from pipeline.night.rows import (
     parameter_rows,
     reference_columns,
 )
-from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.night.statistics import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCKS, Row
 from pipeline.schema.fits import OK
 

@@ -21,8 +21,7 @@ from pipeline.clock import utc
 from pipeline.config import MotorSpec
 from pipeline.night.fit import REFERENCE, BlockFit, scale_of
 from pipeline.night.residuals import lag_columns, residual_columns, residual_test_rows
-from pipeline.night.statistics import NightStatistics
-from pipeline.night.stored_blocks import CHANNELS, StoredBlocks
+from pipeline.night.statistics import CHANNELS, NightStatistics, StoredBlocks
 from pipeline.schema import OF_NIGHT, Row
 
 Rows = dict[str, list[Row]]

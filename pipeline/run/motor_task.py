@@ -36,7 +36,7 @@ from pipeline.night.column_change import (
 from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.refit import FROM_TABLES, PublishedNight, refit, refit_read
 from pipeline.night.sample_rows import strange_flow
-from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.night.statistics import BLOCK_COLUMNS
 from pipeline.run.night_plan import NO_LOG, NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
 from pipeline.schema import (

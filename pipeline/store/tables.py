@@ -78,14 +78,12 @@ def days_of(label: str) -> list[dt.date]:
     ]
 
 
-def is_named_as_ours(path: Path) -> bool:
-    """True for a file of a month or of a night with the name and the folder that a run gives it."""
+def _is_ours(output: Path, table: Table, path: Path) -> bool:
+    """Return True for a file of a month or a night with the name and folder a run gives it."""
     try:
-        first = days_of(path.stem)[0]
+        return bool(days_of(path.stem)) and path == labelled_file(output, table, path.stem)
     except ValueError:
         return False
-    names = (f"{first}{ENDING}", f"{first:%Y-%m}{ENDING}")
-    return path.name in names and path.parent.name == f"{MONTH_PREFIX}{first:%Y-%m}"
 
 
 def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = None) -> list[Path]:
@@ -95,10 +93,11 @@ def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = No
         return [whole]
     if nights is None:
         months = _listed(table_folder(output, table))
-        return sorted(path for month in months for path in _listed(month) if is_named_as_ours(path))
+        paths = (path for month in months for path in _listed(month))
+        return sorted(path for path in paths if _is_ours(output, table, path))
     labels = {label_of(table, night) for night in nights}
-    paths = (labelled_file(output, table, label) for label in sorted(labels))
-    return [path for path in paths if path.exists()]
+    named = (labelled_file(output, table, label) for label in sorted(labels))
+    return [path for path in named if path.exists()]
 
 
 def _listed(folder: Path) -> list[Path]:

@@ -23,7 +23,7 @@ from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, nights_between
 from pipeline.config.nights import night as night_labelled
-from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.night.statistics import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import (
     ALARMS,
     BLOCKS,

@@ -15,7 +15,7 @@ from leakage.watch import Machine, NightBlocks
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.statistics import StoredBlocks
 from pipeline.night.time_base import VISCOSITIES
 
 FLUSHING, KNOWN = "flushing", "known"
