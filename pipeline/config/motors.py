@@ -37,6 +37,9 @@ from pipeline.config.section import (
 )
 from pipeline.units import QUANTITIES, UNITS
 
+# Events behind which the motor is the same: its baseline and its change go on (model.md, 7c.6).
+CARRIED = ("oil_change", "meter_changed", "sensor_changed")
+
 
 class Event(Section):
     """Something that happened to a motor, dated.
@@ -211,16 +214,21 @@ class MotorFile(Section):
             yield ("channels",), message, given
 
     @property
-    def baseline_events(self) -> tuple[Event, ...]:
-        """Events whose nights before are no measure for those after."""
+    def changes(self) -> tuple[Event, ...]:
+        """Events that change what the nights show."""
         return tuple(event for event in self.events if event.kind != "note")
+
+    @property
+    def baseline_events(self) -> tuple[Event, ...]:
+        """Events that begin a new baseline: nights before are no measure for those after."""
+        return tuple(event for event in self.changes if event.kind not in CARRIED)
 
     def alike(self, night: dt.date) -> tuple[dt.date, dt.date]:
         """Return since when, and until before when, readings are a night's by columns and units.
 
         Other oil changes none of them but the flow, by as much as the model says.
         """
-        dates = [event.date for event in self.baseline_events if event.kind != "oil_change"]
+        dates = [event.date for event in self.changes if event.kind != "oil_change"]
         since = max((date for date in dates if date <= night), default=dt.date.min)
         return since, min((date for date in dates if date > night), default=dt.date.max)
 

@@ -204,8 +204,8 @@ def nights_before(
     if watch is None:
         raise Insufficient("", f"{len(course.waiting)} of {needed} nights of a baseline")
     watched = dt.date.fromordinal(watch.day)
-    if any(watched < event.date <= label for event in spec.file.baseline_events):
-        raise Insufficient("", "a new baseline begins")
+    if any(watched < event.date <= label for event in spec.file.changes):
+        raise Insufficient("", "an event is dated on it: the nightly run judges it first")
     watch_columns, begin = course.nights.watch_columns, course.nights.labels[course.period.first]
     usual = nights_between(max(label - USUAL_NIGHTS * DAY, begin), last)
     before = read_blocks(output, spec, watch_columns, usual)

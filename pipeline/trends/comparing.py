@@ -29,11 +29,11 @@ def compare_nights(
 ) -> tuple[dict[str, Any], list[str]]:
     """Compare a motor's nights from a date on with those before, as plain data and in lines.
 
-    At most so many on each side, none beyond another event that begins a baseline.
+    At most so many on each side, none beyond another event.
     """
     with read_state_file(output) as state:
         spec = as_published(spec, read_settings(state).get(spec.motor_id))
-    borders = [event.date for event in spec.file.baseline_events if event.date != at]
+    borders = [event.date for event in spec.file.changes if event.date != at]
     first = max((border for border in borders if border < at), default=dt.date.min)
     end = min((border for border in borders if border > at), default=dt.date.max)
     nights = [night for night in nights_back(output, BLOCKS) if first <= night < end]

@@ -78,8 +78,6 @@ EVENT_WORDS = {
     "flushing_change": "change of flushing",
     "motor_exchanged": "motor exchanged",
 }
-# Events behind which the motor is the same: its baseline and its change go on (model.md, 7c.6).
-CARRIED = ("oil_change", "meter_changed", "sensor_changed")
 # What begins with a motor's first night.
 FIRST_NIGHTS = "first nights"
 OTHER_SETTINGS = "other settings from"
@@ -396,10 +394,10 @@ def periods_of(
     """Return the baseline periods of a motor's leakage, or of a sensor's zero."""
     labels = records["night"]
     borders = [] if of_what in SENSORS else _changed_settings(spec, records)
-    for event in sorted(spec.file.baseline_events, key=lambda event: event.date):
+    events = spec.file.changes if of_what in SENSORS else spec.file.baseline_events
+    for event in sorted(events, key=lambda event: event.date):
         # What happened before the first night is nothing that its nights show.
-        is_border = of_what in SENSORS or event.kind not in CARRIED
-        if is_border and event.date >= labels[0].item():
+        if event.date >= labels[0].item():
             words = f"{EVENT_WORDS[event.kind]} on {event.date}{_noted(event.note)}"
             borders.append((event.date, words))
     for decision in decisions:

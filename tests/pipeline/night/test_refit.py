@@ -6,6 +6,7 @@ import datetime as dt
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from polars.testing import assert_frame_equal
@@ -15,6 +16,7 @@ import pipeline.run.night_plan
 from leakage import OperatingConditions, total_flow_l_per_min
 from leakage.estimation.blocks import Windows as Blocks
 from pipeline.config import MotorSpec, Windows, hashes
+from pipeline.config.motors import Event, MotorFile
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.night.fit_night import NightOutcome
@@ -164,3 +166,15 @@ def test_the_first_nights_of_a_baseline_decide(
     }
     decision = roller_decision(days, [NIGHT + day * DAY for day in begins])
     assert (decision and decision["is_free"]) is expected
+
+
+def test_only_what_makes_another_motor_of_it_begins_a_baseline() -> None:
+    """The design's section 2 says which events do, and which carry the baseline across."""
+    kinds = get_args(Event.model_fields["kind"].annotation)
+    events = tuple(Event.model_construct(date=NIGHT, kind=kind) for kind in kinds)
+    file = MotorFile.model_construct(events=events)
+    begins = {event.kind for event in file.baseline_events}
+    assert begins == {"overhaul", "motor_exchanged", "flushing_change"}
+    assert {event.kind for event in file.changes} - begins == {
+        "oil_change", "meter_changed", "sensor_changed",
+    }  # fmt: skip

@@ -15,7 +15,7 @@ from leakage import OperatingConditions, regressors
 from leakage.watch import Estimate, NightBlocks
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.motor_types import OilSample
-from pipeline.config.motors import Event
+from pipeline.config.motors import CARRIED, Event
 from pipeline.config.settings import Conditions
 from pipeline.schema import BLOCKS
 from pipeline.trends.checkpoint import blank_records
@@ -23,7 +23,6 @@ from pipeline.trends.course import Course
 from pipeline.trends.decisions import FLOW_ZERO, PRESSURE_ZERO, Decision
 from pipeline.trends.night_state import NightState
 from pipeline.trends.nights import (
-    CARRIED,
     HALF,
     LONGEST_SILENCE,
     PublishedNights,
