@@ -1,7 +1,6 @@
 """Names and units of the channels, and the only place where a reading becomes canonical.
 
-Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min, h, mm²/s,
-mPa·s. The factors are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811,
+The factors are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811,
 appendix B, for inch, pound-force and the gallons).
 """
 
@@ -10,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
-
-from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -112,42 +109,18 @@ CHANNELS: tuple[str, ...] = tuple(QUANTITIES)
 
 
 def canonical_unit(channel: str) -> str:
-    """Unit in which a channel is kept after it was read.
-
-    Examples
-    --------
-    >>> canonical_unit("leakage_flow")
-    'l/min'
-    """
-    return next(iter(UNITS[_quantity(channel)]))
-
-
-def conversion(channel: str, unit: str) -> Conversion:
-    """Conversion from a unit of a log to the canonical unit of a channel.
-
-    Raises UsageError (``channel_unknown``, ``unit_unknown``); the message names those there are.
-    """
-    known = UNITS[_quantity(channel)]
-    if unit not in known:
-        raise UsageError(
-            "unit_unknown", f"unit {unit!r} of channel {channel} is none of {', '.join(known)}"
-        )
-    return known[unit]
+    """Return the unit of a channel from its reader to the tables."""
+    return next(iter(UNITS[QUANTITIES[channel]]))
 
 
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
-    """Readings of a channel in its canonical unit, always a new array; shape (n,).
+    """Return readings of a channel in its canonical unit, always a new array; shape (n,).
 
-    Values that are not finite stay as they are. Raises as `conversion`.
-
-    Examples
-    --------
-    >>> to_canonical("oil_temperature", [32.0, 212.0], "degF")
-    array([  0., 100.])
+    Values that are not finite stay as they are.
     """
     import numpy as np
 
-    numerator, denominator, shift = conversion(channel, unit)
+    numerator, denominator, shift = UNITS[QUANTITIES[channel]][unit]
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         readings = np.array(values, dtype=np.float64)
@@ -161,21 +134,9 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
 
 
 def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
-    """Readings of a channel in a unit of a log: the inverse of `to_canonical`.
-
-    Examples
-    --------
-    >>> from_canonical("oil_temperature", [0.0, 100.0], "degF")
-    array([ 32., 212.])
-    """
+    """Return readings of a channel in a unit of a log: the inverse of `to_canonical`."""
     import numpy as np
 
-    numerator, denominator, shift = conversion(channel, unit)
+    numerator, denominator, shift = UNITS[QUANTITIES[channel]][unit]
     with np.errstate(over="ignore", invalid="ignore"):
         return np.array(values, dtype=np.float64) * denominator / numerator - shift
-
-
-def _quantity(channel: str) -> str:
-    if channel not in QUANTITIES:
-        raise UsageError("channel_unknown", f"channel {channel!r} is none of {', '.join(CHANNELS)}")
-    return QUANTITIES[channel]

@@ -143,10 +143,7 @@ class Fleet:
 
 
 def overlap(fleet: Fleet) -> str | None:
-    """Return the folder that was expected, where output and logs lie so that one spoils the other.
-
-    A run would read its own tables as logs, or write into the logs, or remove them.
-    """
+    """Return the folder that was expected, where a run would read its output or harm the logs."""
     logs, output = fleet.log_root, fleet.output
     if fleet.log_url:
         return None

@@ -297,10 +297,7 @@ def raw_log(
     refused: Mapping[str, int],
     remarks: Sequence[str] = (),
 ) -> RawLog:
-    """Log from its channels, with a note for each reason for which something was left out.
-
-    A reason begins with the noun of what is counted.
-    """
+    """Return a log with a note for each reason, which begins with the noun of what is counted."""
     parted = ((reason.partition(" "), count) for reason, count in refused.items() if count)
     notes = [f"{counted(count, noun)} {what}" for (noun, _, what), count in parted]
     return RawLog(channels, rows, (*notes, *remarks))

@@ -1,11 +1,7 @@
 """The contract of all readers of logs, whatever the format of the file, and the way to read a log.
 
-A `Reader` is given a `LogFile`, with the motor's `Logs` and `Channel`s as configured, and returns a
-`RawLog`: each channel on its own time stamps, in the order of the file, in canonical units, with
-what is missing marked. A reader sorts nothing, fills nothing and judges nothing but the file
-itself; whether a sample is plausible is for the cleaning stage.
-
-Errors are `LogError`s with a code of `docs/operations.md`.
+A reader sorts nothing, fills nothing and judges nothing but the file itself; whether a sample is
+plausible is for the cleaning stage. Errors are `LogError`s with a code of `docs/operations.md`.
 """
 
 from __future__ import annotations

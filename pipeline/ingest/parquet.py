@@ -1,10 +1,8 @@
-"""Logs as Parquet, written by others.
+"""Logs as Parquet, written by others, read with PyArrow and validated before any figure is used.
 
-They are read with PyArrow and validated in full before any figure is used: a footer that reads
-proves nothing, and other readers were seen to abort on malformed files or to read them without a
-word. Checksums of pages are verified where the writer left them. Text may be repeated any number of
-times by a few bytes: its columns are read as dictionaries, each text once, and written out only
-where that is of a size that a log can have.
+Other readers were seen to abort on malformed files or to read them without a word. Text may be
+repeated any number of times by a few bytes: its columns are read as dictionaries, and written out
+only where that is of a size that a log can have.
 """
 
 from __future__ import annotations

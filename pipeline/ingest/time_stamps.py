@@ -63,13 +63,7 @@ class TimeStamps:
 
 
 def example_of(time_format: str) -> str:
-    """A stamp as a format has it, for a message.
-
-    Examples
-    --------
-    >>> example_of("%d.%m.%Y %H:%M:%S"), example_of("epoch_ms")
-    ('01.03.2025 06:00:00', '1740808800000')
-    """
+    """Return a stamp as a format has it, for a message."""
     if time_format == "iso8601":
         return f"{_EXAMPLE.isoformat()}Z"
     since = _EXAMPLE - _EPOCH
@@ -82,10 +76,7 @@ def example_of(time_format: str) -> str:
 
 
 def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
-    """Time stamps of a column of time, or of a column of dates and one of times of day.
-
-    A null is a blank cell.
-    """
+    """Return time stamps of a column of time, or of dates and of times of day; null: a blank."""
     column = columns[-1]
     if len(columns) > 1:
         # Imported where it is needed: runs with nothing new read no stamp.
@@ -130,10 +121,7 @@ def _from_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
 
 
 def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
-    """Time stamps of a column of numbers; a nan is a blank cell.
-
-    None of them can be read where the format is of text.
-    """
+    """Return time stamps of numbers, nan for a blank; none is one if the format is of text."""
     stamps = _from_numbers(numbers, time_format)
     strange = numbers[np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]].tolist()
     # Blank cells are 0 or nan by now.

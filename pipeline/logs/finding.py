@@ -1,11 +1,8 @@
 """Log files of motors, found by the patterns of a config in a folder or an object store.
 
-Of an object store each log that is read is copied; a listing gives size, tag and last change of
-every object: a known object is not opened.
-
-Of a Delta table, files of its newest version are logs: others lie beside them until a clean-up. Its
-`_delta_log/` has a JSON file a version, with a line an action, and now and then a checkpoint with
-all files that are added by then (Delta transaction log protocol,
+Of an object store each log that is read is copied; a listing has size, tag and last change of every
+object. Of a Delta table, files of its newest version are logs: others lie beside them until a
+clean-up (Delta transaction log protocol,
 https://github.com/delta-io/delta/blob/master/PROTOCOL.md).
 """
 

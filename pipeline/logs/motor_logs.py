@@ -37,16 +37,8 @@ FATES = ("read", "unchanged", "growing", "failed", "left")
 class MotorLogs:
     """The log files of a motor, by path relative to the log root, each read once while needed.
 
-    Parameters
-    ----------
-    before
-        Former records of its files.
-    latest_us
-        Samples after this time are refused [µs since 1970].
-    silent
-        Files that did not answer: none is opened.
-    log_records
-        Records of the files as they are; None: they are inspected.
+    `before` are former records of its files; samples after `latest_us` are refused. Files that are
+    `silent` did not answer, and are not opened. Without `log_records` the files are inspected.
     """
 
     def __init__(

@@ -1,17 +1,8 @@
 """A fleet proposed from a plant's logs: its motors, their channels, and what has to be asked.
 
-| Of | is proposed | by |
-|---|---|---|
-| names of files, columns, ends | which files are one motor's | `layouts.kinds_of` |
-| the head of a log | dialect, columns, time | `sniff.sniff` |
-| stamps and names of files | whether day or month comes first | `_dated_by_names` |
-| columns, or tags in rows | what may be a channel, and its quality | `signals.signals_of` |
-| cells that repeat moments | the motors of rows | `signals.motors_of_rows` |
-| what names share | the motors of columns | `names.groups_of` |
-| words and units of a name | channel and unit | `names.meaning_of` |
-| readings | which of several columns, or units | `questions.Chooser` |
-
-Nothing ambiguous is decided: it is a `Question`, whose answer is taken as it stands.
+Names of files tell which are one motor's (`layouts`), the head of a log its dialect and columns
+(`sniff`), words and units what a column may be (`names`, `signals`), readings which of several
+(`questions`). Nothing ambiguous is decided: it is a `Question`, whose answer is taken as it stands.
 """
 
 from __future__ import annotations

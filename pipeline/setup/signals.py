@@ -1,8 +1,7 @@
 """What of a log may be a motor's channels: columns or tags, each with its quality; motors of rows.
 
-A quality stands beside a column (`PT`, `PT.Quality`; `PT.Value`, `PT.Validity`; `PT`,
-`Quality_PT`), beside all columns of a row, beside the values of a long table, or beside a field of
-a message.
+A quality stands beside a column (`PT`, `PT.Quality`; `PT.Value`, `PT.Validity`; `Quality_PT`), all
+columns of a row, the values of a long table, or a field of a message.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import pytest
 
 from pipeline.clock import microseconds
 from pipeline.config import Channel
-from pipeline.errors import UsageError
 from pipeline.ingest.assembly import raw_channel, readings_of
 from pipeline.night.masks import out_of_range
 from pipeline.units import (
@@ -127,14 +126,3 @@ def test_the_readings_given_are_not_changed_and_integers_become_float64() -> Non
         result = to_canonical("pressure_difference", values, unit)
         result[:] = 0.0
         np.testing.assert_array_equal(values, [1.0, 2.0])
-
-
-def test_unknown_names_are_listed_with_those_that_there_are() -> None:
-    with pytest.raises(UsageError, match=r"atm.*bar.*psi") as wrong_unit:
-        to_canonical("pressure_difference", [1.0], "atm")
-    assert wrong_unit.value.code == "unit_unknown"
-    with pytest.raises(UsageError, match=r"torque.*speed") as wrong_channel:
-        to_canonical("torque", [1.0], "rpm")
-    assert wrong_channel.value.code == "channel_unknown"
-    with pytest.raises(UsageError, match="degC"):
-        to_canonical("speed", [1.0], "degC")

@@ -164,29 +164,10 @@ def long(column: str, good: str, bad: str) -> Files:
     return {"hist.csv": f"DateTime,TagName,Value,{column}\n{''.join(lines)}"}
 
 
-def beside() -> Files:
-    names = [name for source in NAMES for name in (f"W.{source}", f"W.{source}.Quality")]
-    lines = (
-        f"{stamp},{','.join(f'{cell},{code}' for cell in row)}\n"
-        for stamp, row, code in marked("192", "0")
-    )
-    return {"hist.csv": f"time,{','.join(names)}\n{''.join(lines)}"}
-
-
 def parquet(columns: Mapping[str, Any]) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(dict(columns)), sink)
     return bytes(sink.getvalue())
-
-
-def numbers_in_parquet() -> Files:
-    cells = [
-        (stamp, f"W.{name}", float(cell), int(code))
-        for stamp, row, code in marked("192", "0")
-        for name, cell in zip(NAMES, row, strict=True)
-    ]
-    columns = zip(("ts", "tag", "value", "quality"), zip(*cells, strict=True), strict=True)
-    return {"hist.parquet": parquet(dict(columns))}
 
 
 def messages(
@@ -218,8 +199,6 @@ def coded(at: int, _channel: int, cell: str) -> Mapping[str, Any]:
 
 QUALITIES: Mapping[str, Callable[[], Files]] = {
     "a long table": lambda: long("StatusCode", "0", "2147483648"),
-    "beside each column": beside,
-    "numbers in Parquet": numbers_in_parquet,
     "messages": lambda: {"w.mcap": messages(coded)},
 }
 

@@ -1,9 +1,8 @@
 """JSON messages: many payloads are laid out as lines and parsed at once.
 
-Of messages that differ in a single number, only the number is parsed. Where a piece does not come
-out as an object a line, with a value of one type in each wanted field, it is parsed message by
-message, so that what is no number is found and counted. Each way gives what the `json` module
-gives, but for the sign of an integer -0 and for integers of over 4300 digits.
+Of messages that differ in a single number, only the number is parsed. What does not come out as an
+object a line, with a value of one type in each wanted field, is parsed message by message. Each way
+gives what the `json` module gives, but for the sign of an integer -0 and integers of 4300 digits.
 """
 
 from __future__ import annotations

@@ -108,13 +108,6 @@ class Summary(NamedTuple):
     declared: Declared  # a writer may leave them out
     statistics: Statistics | None  # None where the writer left them out
 
-    def stated_count(self, topic: str) -> int | None:
-        """Number of messages of a topic; None where the writer left it out."""
-        if self.statistics is None:
-            return None
-        same = [i for i, channel in self.declared.channels.items() if channel.topic == topic]
-        return sum(self.statistics.channel_message_counts.get(i, 0) for i in same)
-
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
     """Begins of the records that lie whole in a buffer, and the end of the last of them."""

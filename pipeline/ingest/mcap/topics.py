@@ -31,7 +31,6 @@ class Topic:
     name: str
     encoding: str
     schema: str
-    count: int | None = None  # messages; None where the file does not say it
     fields: Mapping[FieldPath, tuple[float, ...]] = field(default_factory=dict)  # nan for none
     texts: Mapping[FieldPath, str] = field(default_factory=dict)  # of the first message with any
     payloads: list[bytes] = field(default_factory=list)
@@ -54,13 +53,11 @@ def read_topics(path: Path) -> list[Topic]:
         for channel in channels.values():
             if channel.topic not in topics:
                 schema = schemas[channel.topic] = known.get(channel.schema_id, NO_SCHEMA)
-                count = summary.stated_count(channel.topic)
                 units = {**dict(_schema_units(schema)), **dict(_metadata_units(channel))}
                 topics[channel.topic] = Topic(
                     channel.topic,
                     channel.message_encoding,
                     schema.name,
-                    count,
                     units=units,
                     descriptions=dict(_json_texts(schema, ("description",))),
                 )

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from pipeline.config import ConfigError, load_fleet
-from pipeline.demo import shipped_configs
 from tests.pipeline.config.conftest import MOTOR, OIL, SAMPLE, TYPE, Configs
 from tests.pipeline.simulated import FLEET, write_configs
 from tests.reference_pages import config_reference
@@ -34,13 +32,6 @@ def test_shipped_configs_load(configs: Configs) -> None:
         for mode in ("none", "fixed", "estimated"):
             columns = spec.motor(dt.date(2026, 1, 2), mode).columns
             assert columns[-3:] == ("one", "known", "measured")
-
-
-@pytest.mark.parametrize(("motor_type", "count"), [("CB400", 24), ("CB560", 32), ("CB1120", 64)])
-def test_shipped_counts_are_those_of_the_model(motor_type: str, count: int) -> None:
-    # model.md, section 3: 8 interfaces a cam row, 3, 4 and 8 rows.
-    document = tomllib.loads((shipped_configs() / f"motor_types/{motor_type}.toml").read_text())
-    assert [path["count"] for path in document["path"]] == [count] * 4
 
 
 WHOLE = """motor_id = "M1"
@@ -189,18 +180,6 @@ def test_leakage_is_two_sided_where_the_low_side_is_known(
         configs.change(MOTOR, "[channels.speed]", low)
     configs.add(MOTOR, f"\n[override.model]\n{model}\n")
     assert configs.motor().settings.model.two_sided is is_two_sided
-
-
-def test_a_web_hook_with_all_that_it_may_have(configs: Configs) -> None:
-    lines = """
-        [alarms]
-        webhook_url = "https://h.example:8443/a/b?c=d"
-        webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}", X-Plant = "3, hall ${HALL}" }
-        webhook_secret = "${HOOK_SECRET}"
-    """
-    configs.add("fleet.toml", lines)
-    alarms = configs.load().settings.alarms
-    assert alarms.webhook_headers["X-Plant"] == "3, hall ${HALL}"
 
 
 def test_motors_of_a_circuit_share_its_file(configs: Configs) -> None:

@@ -126,7 +126,8 @@ def bad_of(write: Way, path: Path) -> list[bool]:
 
 @every_way
 def test_what_the_log_does_not_call_good_is_bad(write: Way, tmp_path: Path) -> None:
-    log = read_log(tmp_path / "log", *write(tmp_path / "log"))
+    source = write(tmp_path / "log")
+    log = read_log(tmp_path / "log", *source)
     others = dict(log.channels)
     speed = others.pop("speed")
     assert speed.bad_quality is not None
@@ -135,14 +136,9 @@ def test_what_the_log_does_not_call_good_is_bad(write: Way, tmp_path: Path) -> N
     assert speed.value[~speed.missing].tolist() == [float(i) for i in range(1, 10)]
     assert not speed.bad_quality.flags.writeable
     assert all(other.bad_quality is None for other in others.values())
-
-
-@every_way
-def test_a_quality_that_is_not_there_is_named(write: Way, tmp_path: Path) -> None:
-    source = write(tmp_path / "log")
-    speed = changed(source.channels["speed"], quality_source="kwality")
+    kwality = changed(source.channels["speed"], quality_source="kwality")
     with pytest.raises(LogError, match="'kwality'"):
-        read_log(tmp_path / "log", *source.but({**source.channels, "speed": speed}))
+        read_log(tmp_path / "log", *source.but({**source.channels, "speed": kwality}))
 
 
 @pytest.mark.parametrize("piece", [120, 200, 2**24])
@@ -153,19 +149,6 @@ def test_pieces_of_a_file_change_nothing(
     monkeypatch.setattr(pipeline.ingest.mcap.log, "_PIECE", piece)
     for write in (EVERY_WAY["csv"], json_mcap(MIXED), protobuf_mcap):
         assert bad_of(write, tmp_path / "log") == EXPECTED
-
-
-def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    table("csv", {"n": [1] * len(CASES), "dp": [1] * len(CASES), "quality": TEXTS})(path)
-    forced = changed(PRESSURE, quality_good=(192, 216, 0))
-    source = Source.of("csv", {"speed": SPEED, "pressure_difference": forced})
-    channels = read_log(path, *source).channels
-    answers = [(text or "").strip().casefold() for text in TEXTS]
-    for name, good in (("speed", {"good", "192"}), ("pressure_difference", {"192", "216", "0"})):
-        bad = channels[name].bad_quality
-        assert bad is not None
-        assert bad.tolist() == [answer not in good for answer in answers]
 
 
 def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: Path) -> None:

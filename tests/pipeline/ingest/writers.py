@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
 from mcap.writer import CompressionType, IndexType
 
 from pipeline.ingest.conformance import NAMES, Cell, Format, Row
@@ -138,11 +137,6 @@ def write_long_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> Non
     path.write_text("time,channel,value\n" + "".join(lines), encoding="utf-8")
 
 
-def zstd_without_checksum(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
-    csv()(path, rows, names)
-    path.write_bytes(zstandard.compress(path.read_bytes()))
-
-
 BARE = {"enable_crcs": False, "index_types": IndexType.NONE, "use_statistics": False}
 PLAIN = {"compression": CompressionType.NONE}
 LONG = {"layout": "long", "time_format": "epoch_us"}
@@ -152,14 +146,9 @@ NUMBERS_ONLY = (
     Format("csv-long", "csv", write_long_csv, wide=False, keys=LONG),
     Format("csv-gz", "csv", csv(packed=".gz"), is_checked=True),
     Format("csv-zst", "csv", csv(packed=".zst"), is_checked=True),
-    Format("csv-zst-no-checksum", "csv", zstd_without_checksum),
     Format("parquet-lz4", "parquet", parquet(compression="lz4", data_page_version="2.0")),
-    Format("parquet-brotli", "parquet", parquet(compression="brotli", row_group_size=17)),
     Format("parquet-split", "parquet", SPLIT),
     Format("mcap-protobuf", "mcap", write_mcap("protobuf", **PLAIN), wide=False, is_checked=True),
     Format("mcap-cdr", "mcap", write_mcap("cdr"), wide=False, is_checked=True),
-    Format(
-        "mcap-protobuf-bare", "mcap", write_mcap("protobuf", use_chunking=False, **BARE), wide=False
-    ),
     Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE), wide=False),
 )

@@ -124,30 +124,6 @@ def test_day_or_month_first_is_asked_where_nothing_says_it(
     require_it_reads(path, log, form)
 
 
-@pytest.mark.parametrize(
-    ("form", "is_asked"), [("%d.%m.%Y %H:%M:%S", True), ("epoch_s", False), ("%FT%TZ", False)]
-)
-def test_a_zone_is_asked_for_where_the_stamps_have_none(
-    tmp_path: Path, form: str, is_asked: bool
-) -> None:
-    (path,) = text_log({"time_format": form}).write(tmp_path, "log", log_of())
-    assert bool(question(path, "time_zone")) == is_asked
-
-
-def test_channels_of_which_one_is_far_into_the_log(tmp_path: Path) -> None:
-    log = log_of(2000)
-    rows = [
-        f"{START_US // 10**6 + i},{name},{value!r},{unit},Good"
-        for name, unit, channel in (("dp", "bar", "pressure_difference"),
-                                    ("T oil", "degC", "oil_temperature"),
-                                    ("n", "1/min", "speed"), ("drain", "l/min", "leakage_flow"))
-        for i, value in enumerate(log.values[channel].tolist())
-    ]  # fmt: skip
-    text = "\n".join(["time,Tag,Value,Unit,Quality", *rows, ""])
-    motor = require_it_reads(log_in(tmp_path, text.encode()), log)
-    assert {column.keys["quality_source"] for column in motor.channels.values()} == {"Quality"}
-
-
 NAMED = b"time,dp [bar],T [degC],n [rpm],drain flow [l/min]\n"
 SAMPLE = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
 
@@ -168,14 +144,6 @@ SAMPLE = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
 def test_the_line_of_names(tmp_path: Path, data: bytes, skipped: int, columns: int) -> None:
     table = sniff(log_in(tmp_path, data + (b"" if columns == 1 else 5 * SAMPLE)))
     assert (table.logs.get("skip_rows", 0), len(table.columns)) == (skipped, columns)
-
-
-def test_what_is_not_said_is_a_question(tmp_path: Path) -> None:
-    rows = b"2025-03-01 06:00:00,20130,7.5,me\n2025-03-01 06:00:01,20140,7.4,me\n"
-    path = log_in(tmp_path, b"time,dp,n,T,who\n" + rows.replace(b"7.", b"8.5,7."))
-    asked = {question.key: question.choices for question in propose(path, {}).questions}
-    assert asked["unit of dp"] == ("kPa", "mbar")
-    assert asked["log.leakage_flow"] == ("dp", "n", "T")
 
 
 def test_a_mark_that_may_be_either_is_asked_and_a_decimal_comma_between_commas_refused(
