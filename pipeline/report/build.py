@@ -192,34 +192,34 @@ def _make_nights(
     for motor, night, digest in zip(rows["motor_id"], rows["night"], rows.hash_rows(), strict=True):
         digests.setdefault(night, {})[motor] = f"{digest:016x}"
     shown = list(digests) if newest is None else list(digests)[max(len(digests) - newest, 0) :]
-    n_made = 0
-    for _, labels in groupby(shown, key=lambda night: (night.year, night.month)):
-        changed = [
-            (motor, night)
-            for night in labels
-            for motor, digest in digests[night].items()
-            if not folder.keep(night_file_name(motor, night), digest)
-        ]
-        nights = sorted({night for _, night in changed})
-        motors = sorted({motor for motor, _ in changed})
-        of_month = {
-            table.name: finite_rows(output, table, motors, nights).partition_by(
-                "motor_id", "night", as_dict=True
-            )
-            for table in (EXPLAINED if changed else ())
-        }
-        for motor, night in changed:
-            own = {
-                name: some[motor, night]
-                for name, some in of_month.items()
-                if (motor, night) in some
-            }
+    changed = [
+        (night, motor)
+        for night in shown
+        for motor, digest in digests[night].items()
+        if not folder.keep(night_file_name(motor, night), digest)
+    ]
+    for _, month in groupby(changed, key=lambda new: (new[0].year, new[0].month)):
+        new = list(month)
+        tables = _rows_of(output, new)
+        for night, motor in new:
+            own = {name: of[night, motor] for name, of in tables.items() if (night, motor) in of}
             content = f"motorLeakage.night({script_json(night_payload(night, own))});\n"
             folder.write(night_file_name(motor, night), content.encode(), digests[night][motor])
-        n_made += len(nights)
-        for night in nights:
             progress(shown.index(night) + 1, len(shown))
-    return n_made
+    return len({night for night, _ in changed})
+
+
+def _rows_of(
+    output: Path, nights: Sequence[tuple[dt.date, str]]
+) -> Mapping[str, Mapping[tuple[Any, ...], pl.DataFrame]]:
+    """Return rows by table, night and motor."""
+    labels, motors = (sorted(set(part)) for part in zip(*nights, strict=True))
+    return {
+        table.name: finite_rows(output, table, motors, labels).partition_by(
+            "night", "motor_id", as_dict=True
+        )
+        for table in EXPLAINED
+    }
 
 
 def _digest_of(rows: Mapping[str, pl.DataFrame]) -> str:
