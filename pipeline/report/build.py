@@ -54,9 +54,8 @@ from pipeline.store.atomic_files import (
     store_errors,
 )
 from pipeline.store.tables import read_rows, table_folder
-from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import ORDER, MotorState, urgency
+from pipeline.trends.motor_states import ORDER, MotorState, urgency, what_of
 from pipeline.trends.sentences import change_of, part_of
 
 FOLDER = Path(__file__).parent

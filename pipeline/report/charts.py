@@ -20,8 +20,8 @@ from pipeline.config.motors import Event
 from pipeline.messages import plain
 from pipeline.report.tables import MotorHistory
 from pipeline.report.words import figure
-from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import LEAKAGE
+from pipeline.trends.motor_states import what_of
 from pipeline.trends.sentences import DATED, cause_words
 
 # Of Okabe and Ito, "Color universal design", 2008: distinguished with any kind of colour vision, on

@@ -21,9 +21,8 @@ from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.state import read_state_file
 from pipeline.store.tables import read_rows
-from pipeline.trends.alarm_rows import what_of
 from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import MotorState, published_states, urgency
+from pipeline.trends.motor_states import MotorState, published_states, urgency, what_of
 
 # Failed nights of a motor that are listed, the newest.
 MOST_FAILED = 3

@@ -33,8 +33,15 @@ from pipeline.night.column_change import (
     refusal,
     usual_readings,
 )
-from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
-from pipeline.night.refit import FROM_TABLES, PublishedNight, refit, refit_read
+from pipeline.night.fit_night import (
+    FROM_TABLES,
+    NightOutcome,
+    PublishedNight,
+    fit_night,
+    refit,
+    refit_read,
+    unfitted,
+)
 from pipeline.night.sample_rows import strange_flow
 from pipeline.night.statistics import BLOCK_COLUMNS
 from pipeline.run.night_plan import NO_LOG, NightPlan

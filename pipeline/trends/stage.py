@@ -25,11 +25,18 @@ from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Row, Table
 from pipeline.schema.fits import NO_NEW_DATA
 from pipeline.store.atomic_files import store_errors
 from pipeline.store.publishing import stage, staged_file
-from pipeline.trends.alarm_rows import alarm_rows, new_rows, what_of, without_past
 from pipeline.trends.checkpoint import key_of
 from pipeline.trends.course import Course
 from pipeline.trends.decisions import LEAKAGE, is_withdrawn
-from pipeline.trends.motor_states import CHANGED, ORDER, STALE
+from pipeline.trends.motor_states import (
+    CHANGED,
+    ORDER,
+    STALE,
+    alarm_rows,
+    new_rows,
+    what_of,
+    without_past,
+)
 from pipeline.trends.night_state import NightState
 from pipeline.trends.nights import NO_LOG, OTHER_SETTINGS, PublishedNights, read_nights
 from pipeline.trends.sentences import CHECK_ZERO, advice, sentence

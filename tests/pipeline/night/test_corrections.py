@@ -20,8 +20,7 @@ from leakage.physics.oil import (
 from pipeline.config import Channel, MotorSpec, TransportDelay
 from pipeline.config.motor_types import OilSample
 from pipeline.night import transport_delay
-from pipeline.night.fit_night import NightOutcome
-from pipeline.night.refit import PublishedNight, refit
+from pipeline.night.fit_night import NightOutcome, PublishedNight, refit
 from pipeline.night.transport_delay import DELAYED, delay_inputs, delay_on_grid_s, shifted
 from pipeline.schema import BLOCKS, frame
 from tests.pipeline.night.noise_free import (

@@ -19,8 +19,7 @@ from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.config.motors import Event, MotorFile
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
-from pipeline.night.fit_night import NightOutcome
-from pipeline.night.refit import PublishedNight, refit, refit_read
+from pipeline.night.fit_night import NightOutcome, PublishedNight, refit, refit_read
 from pipeline.run.night_plan import roller_decision
 from pipeline.schema import BLOCKS, NIGHT_TABLES, frame
 from pipeline.store.published import TABLE_OF

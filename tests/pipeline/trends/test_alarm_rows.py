@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows, new_rows, without_past
+from pipeline.trends.motor_states import alarm_rows, new_rows, without_past
 from tests.pipeline.trends.nights import night_of
 
 Rows = list[dict[str, Any]]
