@@ -202,7 +202,7 @@ def _leakages(own: Row, fit: Row) -> Iterator[str]:
         else:
             ends = ("l_per_min", "lower", "upper")
             value, lower, upper = (own[f"{name}_leakage_{end}"] for end in ends)
-            yield f"{place}: {value:.4g} l/min [{lower:.4g}, {upper:.4g}]"
+            yield f"{place}: {value:#.4g} l/min [{lower:#.4g}, {upper:#.4g}]"
     if fit["fitted_leakage_l_per_min"] is None:
         yield f"at the reference by the night's own fit: none, {fit['fitted_leakage_reason']}"
     else:
@@ -219,9 +219,9 @@ def _conditions(row: Row, kind: str) -> str:
 def _figure(fit: Row) -> str:
     """Leakage by the night's own fit with its interval and its total ±, as far as there are any."""
     name = "fitted_leakage"
-    text = f"{fit[f'{name}_l_per_min']:.4g} l/min"
+    text = f"{fit[f'{name}_l_per_min']:#.4g} l/min"
     if fit[f"{name}_lower"] is not None:
-        text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
+        text += f" [{fit[f'{name}_lower']:#.4g}, {fit[f'{name}_upper']:#.4g}]"
     if fit[f"{name}_total_l_per_min"] is not None:
         text += f", in all ± {fit[f'{name}_total_l_per_min']:.2g}"
     if fit[f"{name}_verdict"] not in ("identified", "fixed"):
@@ -278,7 +278,7 @@ def _size(fit: Row, part: str) -> str:
     if rmse is None or mean is None:
         return "no samples"
     n_effective = fit[f"n_{part}_effective"]
-    text = f"{rmse:.3g} l/min (root mean square), {mean:+z.2g} on average"
+    text = f"{rmse:.3g} l/min (root mean square), {round(mean, 6):+z.2g} on average"
     if n_effective is None:
         return text
     return f"{text}; {fit[f'n_{part}']} samples ({n_effective:.0f} effective)"
