@@ -12,10 +12,7 @@ LONGEST_MESSAGE = 2000
 
 
 class MotorLeakageError(Exception):
-    """Base of every error that the pipeline raises on purpose.
-
-    The code is a stable name of its kind; the message says what is wrong, where, and what to do.
-    """
+    """Base of every error that the pipeline raises on purpose."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(code, message)

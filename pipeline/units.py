@@ -114,10 +114,7 @@ def canonical_unit(channel: str) -> str:
 
 
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
-    """Return readings of a channel in its canonical unit, always a new array; shape (n,).
-
-    Values that are not finite stay as they are.
-    """
+    """Return readings of a channel in its canonical unit; what is not finite stays as it is."""
     import numpy as np
 
     numerator, denominator, shift = UNITS[QUANTITIES[channel]][unit]

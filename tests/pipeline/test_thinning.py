@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -44,8 +43,3 @@ def test_each_bin_keeps_its_own_extremes() -> None:
     flow[777] = 0.5
     kept = keep_extremes([flow], 22).tolist()
     assert {150, 270, 777} <= set(kept)
-
-
-def test_too_few_points_for_one_bin_are_refused() -> None:
-    with pytest.raises(ValueError, match="at least 10 points for 4 columns, got 9"):
-        keep_extremes(np.zeros((4, 100)), 9)
