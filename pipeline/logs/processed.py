@@ -22,8 +22,7 @@ from pipeline.clock import IN_FUTURE
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import DRAIN_DELAY, ROLLER
 from pipeline.messages import counted
-from pipeline.schema import NIGHTS, TIMESTAMP
-from pipeline.schema.fits import OK
+from pipeline.schema import NIGHTS, OK, TIMESTAMP
 from pipeline.store.state import StateDatabase, read_state_file
 from pipeline.workers.process import still_alive
 

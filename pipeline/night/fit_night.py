@@ -51,8 +51,7 @@ from pipeline.night.statistics import (
 )
 from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
 from pipeline.night.time_order import SharedStamps
-from pipeline.schema import BLOCKS, Row
-from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
+from pipeline.schema import BLOCKS, FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL, Row
 from pipeline.units import RUNNING_HOURS
 
 # Fewer blocks than these minutes fill tell nothing of the errors beyond a block.

@@ -14,8 +14,7 @@ from leakage.estimation.residual_analysis import LagTest, ResidualAnalysis, anal
 from leakage.estimation.transport_lag import transport_lag
 from pipeline.arrays import Array, chosen_rows
 from pipeline.night.statistics import NightStatistics
-from pipeline.schema import Row
-from pipeline.schema.fits import LAG_COLUMNS
+from pipeline.schema import LAG_COLUMNS, Row
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed")
 

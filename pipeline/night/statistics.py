@@ -33,8 +33,7 @@ from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.night.time_base import VISCOSITIES, Insufficient, Samples
-from pipeline.schema import BLOCKS, staged_table
-from pipeline.schema.fits import INSUFFICIENT_DATA
+from pipeline.schema import BLOCKS, INSUFFICIENT_DATA, staged_table
 
 # Share of the kept samples that need a credible viscosity.
 LEAST_SHARE = 0.1

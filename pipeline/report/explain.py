@@ -32,15 +32,16 @@ from pipeline.schema import (
     BLOCKS,
     ERROR_BUDGET,
     FITS,
+    LEAST_GAIN_PERCENT,
     LOG_FILES,
     NIGHTS,
+    OK,
     PARAMETERS,
     PREDICTIONS,
     QUALITY,
     RESIDUAL_TESTS,
     Row,
 )
-from pipeline.schema.fits import LEAST_GAIN_PERCENT, OK
 from pipeline.store.tables import read_rows
 from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
 

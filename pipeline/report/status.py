@@ -15,8 +15,16 @@ from pipeline.logs.processed import read_settings, read_stays, stay_lines
 from pipeline.messages import counted
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
-from pipeline.schema import ALARMS, FITS, NIGHTS
-from pipeline.schema.fits import AGREEING_S, DECIDING_NIGHTS, FAILED, LAG_COLUMNS, agreed_lag
+from pipeline.schema import (
+    AGREEING_S,
+    ALARMS,
+    DECIDING_NIGHTS,
+    FAILED,
+    FITS,
+    LAG_COLUMNS,
+    NIGHTS,
+    agreed_lag,
+)
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.published import TableFault, faults_of
 from pipeline.store.state import read_state_file

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from pipeline.messages import plain
-from pipeline.schema import QUALITY_REASONS
-from pipeline.schema.fits import model_verdict
+from pipeline.schema import QUALITY_REASONS, model_verdict
 from pipeline.trends.sentences import cause_words
 
 ABSENT: Final = "–"

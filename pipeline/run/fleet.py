@@ -56,7 +56,7 @@ from pipeline.run.tasks import (
     lost,
     without_lost_part,
 )
-from pipeline.schema.fits import FAILED
+from pipeline.schema import FAILED
 from pipeline.store.atomic_files import (
     interrupts_held,
     locked,

@@ -48,21 +48,19 @@ from pipeline.run.night_plan import NO_LOG, NightPlan
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work, lost
 from pipeline.schema import (
     BLOCKS,
+    FAILED,
     FITS,
+    LAG_COLUMNS,
     LOG_FILES,
     NIGHT_TABLES,
     NIGHTS,
+    NO_NEW_DATA,
     OF_NIGHT,
+    OK,
     QUALITY,
+    WITH_SAMPLES,
     Row,
     Table,
-)
-from pipeline.schema.fits import (
-    FAILED,
-    LAG_COLUMNS,
-    NO_NEW_DATA,
-    OK,
-    WITH_SAMPLES,
     agreed_lag,
 )
 from pipeline.store.published import TABLE_OF

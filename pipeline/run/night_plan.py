@@ -31,7 +31,7 @@ from pipeline.logs.processed import (
     read_settings,
 )
 from pipeline.run.tasks import MotorOutcome, MotorTask, RunRequest, Step, Work
-from pipeline.schema.fits import (
+from pipeline.schema import (
     DECIDING_NIGHTS,
     FAILED,
     INSUFFICIENT_DATA,

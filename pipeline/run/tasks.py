@@ -15,7 +15,7 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.logs.finding import legible
 from pipeline.logs.processed import FileRecord, ProcessedChange, ProcessedLogs
-from pipeline.schema.fits import FAILED
+from pipeline.schema import FAILED
 from pipeline.store.published import TableFault
 from pipeline.trends.decisions import Kind, read_decisions
 from pipeline.workers.process import Loss

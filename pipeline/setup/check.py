@@ -40,7 +40,7 @@ from pipeline.night.fit_night import clean_channels, fit_night
 from pipeline.night.residuals import explain_warm_up
 from pipeline.night.sample_rows import strange_flow
 from pipeline.night.time_base import Insufficient, Samples
-from pipeline.schema.fits import (
+from pipeline.schema import (
     DECIDING_NIGHTS,
     FAILED,
     LAG_COLUMNS,

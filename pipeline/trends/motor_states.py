@@ -16,8 +16,7 @@ import polars as pl
 
 from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
-from pipeline.schema import ALARM_CONTENT, ALARMS, LATEST, NIGHTS, Row
-from pipeline.schema.fits import FAILED, OK, WITH_SAMPLES
+from pipeline.schema import ALARM_CONTENT, ALARMS, FAILED, LATEST, NIGHTS, OK, WITH_SAMPLES, Row
 from pipeline.store.tables import read_rows, read_table, whole_file
 from pipeline.trends.decisions import LEAKAGE, SENSORS, Decision, read_decisions
 from pipeline.trends.sentences import WAIT, change_in_force, headline, limit_dates

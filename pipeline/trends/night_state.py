@@ -29,7 +29,7 @@ from leakage.watch.nights import SEVERAL
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.settings import Conditions
-from pipeline.schema.fits import DOUBTFUL, ModelVerdict, model_verdict
+from pipeline.schema import DOUBTFUL, ModelVerdict, model_verdict
 from pipeline.trends.nights import BaselinePeriod
 from pipeline.trends.watch_columns import FLUSHING, KNOWN
 

@@ -30,12 +30,13 @@ from pipeline.schema import (
     FITS,
     LOG_FILES,
     NIGHTS,
+    NO_NEW_DATA,
     OF_NIGHT,
+    OK,
     PARAMETERS,
     Row,
     Table,
 )
-from pipeline.schema.fits import NO_NEW_DATA, OK
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.checkpoint import (
     OPERATED,

@@ -21,8 +21,7 @@ from leakage.watch import Change, Estimate, Watch
 from pipeline.config.nights import DAY
 from pipeline.errors import StoreError
 from pipeline.night.rows import night_row
-from pipeline.schema import ALARMS, NIGHTS, OF_TRENDS, TRENDS, Row, Table
-from pipeline.schema.fits import NO_NEW_DATA
+from pipeline.schema import ALARMS, NIGHTS, NO_NEW_DATA, OF_TRENDS, TRENDS, Row, Table
 from pipeline.store.atomic_files import store_errors
 from pipeline.store.publishing import stage, staged_file
 from pipeline.trends.checkpoint import key_of

@@ -18,8 +18,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.config.nights import DAY
 from pipeline.logs.processed import as_published, read_settings, read_stays, unpublished_rows
-from pipeline.schema import NIGHTS, Row
-from pipeline.schema.fits import WITH_SAMPLES
+from pipeline.schema import NIGHTS, WITH_SAMPLES, Row
 from pipeline.store.state import StateDatabase
 from pipeline.store.tables import nights_back, read_rows
 from pipeline.trends.decisions import Decision

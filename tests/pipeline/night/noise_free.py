@@ -11,7 +11,7 @@ from leakage import AnnularGap
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.rows import Rows
-from pipeline.schema.fits import OK
+from pipeline.schema import OK
 from tests.pipeline.simulated import NIGHT, Array, Operation, night_of, raw
 
 # Gaps of the worked values (model.md, sections 3 and 4), in µm, each a little off the configured.

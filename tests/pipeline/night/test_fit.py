@@ -23,8 +23,7 @@ from pipeline.night.fit import (
 )
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.rows import Rows
-from pipeline.schema import QUALITY_REASONS
-from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
+from pipeline.schema import FAILED, INSUFFICIENT_DATA, OK, QUALITY_REASONS, STOOD_STILL
 from tests.pipeline.night.noise_free import (
     TRUTH,
     configured_flow,

@@ -16,7 +16,7 @@ from pipeline.config.logs import Logs
 from pipeline.night.cleaning import HAMPEL_THRESHOLD
 from pipeline.night.masks import flow_from_counts, out_of_range
 from pipeline.night.time_base import grid_period_us, on_grid
-from pipeline.schema.fits import FAILED, OK
+from pipeline.schema import FAILED, OK
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, from_canonical, to_canonical
 from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, refused_by, stamps
 from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted

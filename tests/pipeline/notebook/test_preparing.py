@@ -17,8 +17,7 @@ from pipeline.errors import UsageError
 from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import fit_night
 from pipeline.notebook import open_tables, prepare, prepare_log
-from pipeline.schema import ALARMS, FITS, Row, frame
-from pipeline.schema.fits import OK
+from pipeline.schema import ALARMS, FITS, OK, Row, frame
 from tests.pipeline.simulated import (
     NIGHT,
     Array,

@@ -16,7 +16,7 @@ import pytest
 from leakage.watch import Change, Estimate, Verdict
 from leakage.watch.circuit import circuit_change
 from pipeline.config.settings import Conditions
-from pipeline.schema.fits import model_verdict
+from pipeline.schema import model_verdict
 from pipeline.trends.night_state import Baseline, NightState, with_state
 from pipeline.trends.nights import BaselinePeriod
 from pipeline.trends.sentences import WHAT, advice, sentence
