@@ -11,7 +11,7 @@ class LeakageError(ValueError):
     code
         Stable, machine-readable name of the kind of error.
     message
-        What is wrong, where, and what to do about it, in one line.
+        What is wrong, where, and what to do about it, in a line.
     """
 
     def __init__(self, code: str, message: str) -> None:

@@ -46,14 +46,14 @@ WIDEST_EXTRAPOLATED = 0.12
 FARTHEST = {"pressure": 20.0, "temperature": 10.0, "speed": 0.0}
 # Least span of pressure for telling gaps apart that differ in their deformation.
 LEAST_PRESSURE_SPAN_BAR = 20.0
-# A combination of which one block tells more than this, or that has fewer degrees of freedom, has
+# A combination a block of which tells more than this, or that has fewer degrees of freedom, has
 # no credible interval: with 3 degrees of freedom 92 % of the simulated ones of a loss factor held
 # the truth, as the limit of their width selects lucky nights.
 LARGEST_BLOCK_SHARE = 0.5
 LEAST_FREEDOM = 4.0
 
 ONE_STRETCH = (
-    "it rests on one short stretch of the window; its conditions must recur to show how sure it is"
+    "it rests on a short stretch of the window; its conditions must recur to show how sure it is"
 )
 ONE_BLOCK = "a single block of samples; an interval needs several"
 

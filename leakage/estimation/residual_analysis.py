@@ -8,7 +8,7 @@ With ε the prediction error y − ŷ and u an input, both without their means,
 
 equations (27) and (26) of the thesis, over the N_k pairs of samples that are k apart [3]_.
 Whiteness asks whether errors tell of later errors, independence whether inputs tell of errors; at a
-positive lag the input is in the past. Each is judged by one figure, with a probability to be as
+positive lag the input is in the past. Each is judged by a figure, with a probability to be as
 large by chance. The bands, which hold 99 % at each single lag, are for the eye.
 
 **Whiteness.** The statistic of Ljung and Box [2]_,

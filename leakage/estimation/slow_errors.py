@@ -53,7 +53,7 @@ RATIOS = tuple(10.0 ** (half / 2) for half in range(-2, 10))
 EVIDENCE = 4.0
 # Factor on half-widths that makes up for ρ and λ being estimates: simulated coverage.
 WIDENING = 1.25
-# Largest variance of a slow error, over that of the means' errors under least squares: a larger one
+# Largest variance of a slow error, over that of the means' errors under least squares: more
 # would throw away what the means say of the level, and doubled the error of the leakage.
 LARGEST_SLOW = 4.0
 # Neighbouring samples act at most as one in three, or nothing within a block could tell.

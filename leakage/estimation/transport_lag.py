@@ -127,7 +127,7 @@ def _explained(moments: Array, most: int) -> Array:
         moments[:, :-1, :-1] - sums[:, :, None] * sums[:, None] / np.maximum(n, 1.0)[:, None, None]
     )
     squares, products, total = centred[:, :-1, :-1], centred[:, :-1, -1], centred[:, -1, -1]
-    # Of a motor at one load the drivers are nearly the same.
+    # Of a motor at a constant load the drivers are nearly the same.
     inverse = np.linalg.pinv(squares, rcond=1e-9, hermitian=True)
     by_drivers = np.einsum("li,lij,lj->l", products, inverse, products)
     enough = (n >= max(LEAST_SHARE * most, moments.shape[1])) & (total > 0.0)

@@ -1,7 +1,7 @@
 """Quality of a fitted model: fit percent, prediction error, information criteria (2.5.5–2.5.9).
 
 All figures come from the triangular factor of the samples, so judging last night's model on
-the newest night's samples costs one product.
+the newest night's samples costs a product.
 
 Source: the thesis, equations (23) and (25).
 

@@ -200,7 +200,7 @@ class FrameTable:
             )
         raise ShapeError(
             "column_missing",
-            f'no column {name}; there are {known}: rename one, or say columns={{"{name}": ...}}',
+            f'no column {name}; there are {known}: rename it, or say columns={{"{name}": ...}}',
         )
 
     def numbers(self, name: str) -> Array:

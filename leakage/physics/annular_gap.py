@@ -1,4 +1,4 @@
-"""The annular gap: piston ring, balance piston and balance sleeve in one law."""
+"""The annular gap: piston ring, balance piston and balance sleeve in a law."""
 
 from __future__ import annotations
 

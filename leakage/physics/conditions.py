@@ -73,7 +73,7 @@ class OperatingConditions:
 
     @classmethod
     def joined(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
-        """Samples of some conditions, end to end; all of one side, or all of both."""
+        """Samples of some conditions, end to end; all single-sided, or all two-sided."""
         charges = [
             part.charge_over_case_pa for part in parts if part.charge_over_case_pa is not None
         ]

@@ -1,4 +1,4 @@
-r"""The laws of the leakage paths, a family with one surface: parameters, base, and three laws.
+r"""The laws of the leakage paths, a family with the same surface: parameters, base, and three laws.
 
 Each law splits its flow into a lumped *coefficient*, which holds geometry and what is estimated,
 and a *regressor*, which holds the operating conditions:
@@ -107,7 +107,7 @@ class DerivedFigure:
 
 
 class Side(NamedTuple):
-    """What drives n samples' leakage to the case from one side, shape (n,) each.
+    """What drives n samples' leakage to the case from a side, shape (n,) each.
 
     Pressure difference and speed count by their size.
     """
@@ -170,7 +170,7 @@ class Law(ABC):
 
     @property
     def is_free(self) -> bool:
-        """At least one parameter is estimated."""
+        """A parameter is estimated."""
         return not all(parameter.fixed for parameter in self.parameters)
 
     @property
@@ -203,7 +203,7 @@ def require_positive(path: str, **constants: float) -> None:
 def require_parameter(
     path: str, parameter: Parameter, unit: str, maximum: float = math.inf
 ) -> None:
-    """Refuse a parameter in another unit, or one that can leave 0 to `maximum`."""
+    """Refuse a parameter in another unit, or a parameter that can leave 0 to `maximum`."""
     if parameter.unit != unit:
         raise ParameterError(
             "path_unit",

@@ -154,7 +154,7 @@ def name_of(
     causes = evidence.causes
     at = np.searchsorted(evidence.window.days, [start])
     change, score = _between(evidence, baseline, at, flow)
-    # Under a wrong model several can do what one does.
+    # Under a wrong model several can do what another alone does.
     with_several = baseline.model_error <= choices.LACK_TO_IDENTIFY
     log_ratio = _log_ratios(evidence, causes, at, change, score, with_several=with_several)
     weights = np.exp(log_ratio - log_ratio.max())

@@ -92,7 +92,7 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
     every = sum(gaps.values(), np.zeros(baseline.columns.n))
     if len(gaps) > 1 and not np.allclose(every, baseline.all_paths):
         yield from _both(ALL_GAPS, every)
-    # Under a wrong model two gaps can do what one does.
+    # Under a wrong model two gaps can do what another alone does.
     if len(gaps) > 2 and baseline.model_error <= choices.LACK_TO_IDENTIFY:
         for (gap, first), (other, second) in combinations(gaps.items(), 2):
             yield Cause(gap + AND + other, first + second)

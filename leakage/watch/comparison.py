@@ -86,7 +86,7 @@ def compare(
 def _with_odd_nights(evidence: Evidence, window: Window, start: int) -> float:
     """Return ln of the likelihood ratio of a change at a start, where any later night may be odd.
 
-    With or without a change, all nights are ordinary, or one of them is odd and says nothing: a
+    With or without a change, all nights are ordinary, or a single night is odd and says nothing: a
     step, which every night shows, loses next to nothing by that, and what a single night made all.
     """
     nights = np.arange(start, len(window))

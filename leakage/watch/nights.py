@@ -14,7 +14,7 @@ from leakage.watch import choices
 DAYS_A_YEAR = 365.0
 # Name of the path that a flushing is, and of the flow that the motor type states.
 FLUSHING, KNOWN = "flushing", "known"
-# More than one cause at once is a candidate, and no name.
+# Several causes at once are a candidate, and no name.
 SEVERAL = "several"
 # ISO viscosity grades, kinematic viscosity at 40 and 100 °C [mm²/s] (mineral oils, VI about 100).
 ISO_GRADES = ((32.0, 5.4), (46.0, 6.8), (68.0, 8.7), (100.0, 11.4))
@@ -137,12 +137,12 @@ class Change:
 
     @property
     def several(self) -> float:
-        """Probability of more than one cause at once."""
+        """Probability of several causes at once."""
         return self.candidates.get(SEVERAL, 0.0)
 
     @property
     def is_several(self) -> bool:
-        """True if more than one cause at once has most of the probability."""
+        """True if several causes at once have most of the probability."""
         return self.several >= choices.MOSTLY
 
     @property

@@ -150,7 +150,7 @@ def estimate_wander(
 
 
 def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory: Array) -> Array:
-    """Return Q of correlated nights, which scatter less about their own line than the true one."""
+    """Return Q of correlated nights, which scatter less about their own line than the true line."""
     n, prior = len(days), choices.WANDER_NIGHTS
     line = np.linalg.qr(np.column_stack([np.ones(n), days - days.mean()]))[0]
     alike = sum(

@@ -94,7 +94,7 @@ def _call(*, as_json: bool) -> int:
 
 
 def main() -> NoReturn:
-    """Run the command; every expected error is one message on stderr and a stated exit code."""
+    """Run the command; every expected error is a message on stderr and a stated exit code."""
     # Pydantic looks for plugins in all packages that are installed; no model here has any.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     # A command is short: few collections of garbage.

@@ -31,7 +31,7 @@ DRAWN_EVERY_S = 0.5
 
 
 def absolute_folder(given: Path | None) -> Path | None:
-    """The absolute path of a folder that an option names; one that cannot be is wrong usage."""
+    """The absolute path of a folder that an option names; wrong usage where it cannot be."""
     from pipeline.config import absolute
 
     try:
@@ -127,7 +127,7 @@ def say(line: str, *, err: bool = False) -> None:
 
 
 def tell(event: Mapping[str, Any], words: str, *, as_json: bool, err: bool = False) -> None:
-    """Print an event: for programs as one JSON object, else in words, if there are any."""
+    """Print an event: for programs as a JSON object, else in words, if there are any."""
     if as_json:
         say(json.dumps(event, default=str), err=err)
     elif words:
@@ -142,7 +142,7 @@ def print_table(
     *,
     is_dense: bool = False,
 ) -> None:
-    """Print rows below their columns, as wide as the terminal is; `styles` has one a row or none.
+    """Print rows below their columns, as wide as the terminal is; `styles` are the rows', or none.
 
     Dense, a row is a line, which is cut where the terminal ends, and there is no title. Piped,
     cells are separated by tabs and the title is left out; a cell that would break a line or a

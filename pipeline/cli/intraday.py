@@ -49,7 +49,7 @@ def look(
 
     Example: motor-leakage look configs/fleet.toml
 
-    Exit code 0: all motors were checked; 1: at least one could not be; 2: wrong usage or config;
+    Exit code 0: all motors were checked; 1: a motor could not be; 2: wrong usage or config;
     3: another check is under way; 4: nothing could be published.
     """
     pause_s = every.total_seconds() if every else 0.0

@@ -64,7 +64,7 @@ def report(
     Example: motor-leakage report configs/fleet.toml
 
     Then open out/report/index.html. A further call only writes what has changed. A motor's page
-    prints as a work order on one sheet.
+    prints as a work order on a sheet.
     """
     from pipeline.report.build import build_report
 
@@ -83,9 +83,7 @@ def report(
 
 def export(
     config: ConfigFile,
-    csv: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Write CSV there, one file per table.")
-    ],
+    csv: Annotated[Path, typer.Option(metavar="FOLDER", help="Write CSV there, a file a table.")],
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Motors = "",
     since: Since = None,

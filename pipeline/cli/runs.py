@@ -1,4 +1,4 @@
-"""Commands that fit: a fleet, what failed of it, one motor's night."""
+"""Commands that fit: a fleet, what failed of it, a motor's night."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def fit_fleet(
     A night or log that failed stands as failed, and is not tried again while it is unchanged, but
     with --retry. A failed night whose log was removed fails no more.
 
-    Exit code 0: no failure stands; 1: one does, the others are done, or no motor has any log, or
+    Exit code 0: no failure stands; 1: a failure stands, or no motor has any log, or
     published rows are lost, or they were not copied to folders.copy_to; 2: wrong usage or config;
     3: another run holds the output; 4: nothing could be published.
     """
@@ -157,7 +157,7 @@ def fit(
         str | None, typer.Option(help="Nights to judge the fit on, C..D; with --train.")
     ] = None,
 ) -> None:
-    """Fit one motor's night from its logs and say what came of it; nothing is published.
+    """Fit a motor's night from its logs and say what came of it; nothing is published.
 
     An audit follows: the search of the thesis from several starts, and information criteria.
 
@@ -412,7 +412,7 @@ class _Stopped(KeyboardInterrupt):
 def stoppable() -> Iterator[None]:
     """Let SIGTERM end a command as SIGINT does, each with its exit code.
 
-    What a run is not done with is done by the next one.
+    What a run is not done with is done by the next run.
     """
     received: list[int] = []
 

@@ -188,7 +188,7 @@ def _of_the_machine(configs: Path, answers: dict[str, str]) -> Iterator[Question
                 message = f"{name}: got {answer!r}; expected one of {', '.join(known)}"
                 raise UsageError("answer", message)
         if key not in answers:
-            text = f"{key.replace('_', ' ')} of the motors (of one: MOTOR.{key}): which is it?"
+            text = f"{key.replace('_', ' ')} of the motors (of a motor: MOTOR.{key}): which is it?"
             yield Question(key, text, known)
 
 

@@ -60,7 +60,7 @@ def status(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the state of each motor in a line, the one that needs attention most first.
+    """Print the state of each motor in a line, the most urgent first.
 
     Example: motor-leakage status configs/fleet.toml --max-age 26h
 
@@ -291,7 +291,7 @@ def _failed_night(
 
 
 def _removed_on(fleet: Fleet, motor_id: str) -> dt.date | None:
-    """Return last night of a motor that was removed; None for one of the config."""
+    """Return last night of a motor that was removed; None for a motor of the config."""
     from pipeline.trends.motor_states import REMOVED, published_states
 
     states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])

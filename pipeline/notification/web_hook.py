@@ -32,7 +32,7 @@ SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks a secret
 
 @dataclass(frozen=True, slots=True)
 class WebHook:
-    """An address that deliveries are posted to; any answer of 200 to 299 says that it took one."""
+    """An address that deliveries are posted to; any answer of 200 to 299 says that it took it."""
 
     # url, headers, secret: as `[alarms]` states them, with environment variables as ``${NAME}``.
     url: str = field(repr=False)

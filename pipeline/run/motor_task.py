@@ -192,7 +192,7 @@ class MotorRun(NightPlan):
             return self._unless_less(self._read_and_fit(label))
         except StoreError:
             raise
-        except (Exception, PanicException) as error:  # one night must not cost the motor's others
+        except (Exception, PanicException) as error:  # a night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             loss = loss_of(error)
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)

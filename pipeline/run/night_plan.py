@@ -141,7 +141,7 @@ class NightPlan:
         return is_decided and not self.open_nights()
 
     def _note_gone(self) -> None:
-        """Note which published nights have no log any more, and which have one again."""
+        """Note which published nights have no log any more, and which have a log again."""
         if not self.logs.files or self.task.silent:
             return
         present = self.logs.present()
@@ -279,7 +279,7 @@ class NightPlan:
         }
 
     def _why_nothing(self, status: str) -> str | None:
-        """The reason for no fit although nothing failed; None: there is one, or none was to do."""
+        """The reason for no fit although nothing failed; None with a fit, or none to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:

@@ -252,5 +252,5 @@ class RunResult:
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:
-        """Motors with at least one failed night."""
+        """Motors with a failed night."""
         return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
