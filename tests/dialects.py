@@ -1,4 +1,4 @@
-"""Tables as loggers of many makes write them: the same content in any dialect.
+"""Tables as loggers of many makes write them: the same content in any dialect of text.
 
 The writers know the formats from their specifications and from the formats' own libraries, and
 nothing of the readers.
@@ -9,13 +9,12 @@ from __future__ import annotations
 import datetime as dt
 import gzip
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import cycle
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -39,7 +38,6 @@ PACKERS: dict[str, Callable[[bytes], bytes]] = {
     ".gz": lambda data: gzip.compress(data, 1, mtime=0),
     ".zst": zstandard.ZstdCompressor(write_checksum=True).compress,
 }
-FLOAT64 = pa.float64()
 PER_UNIT_US = {"s": 1_000_000, "ms": 1_000, "us": 1}
 
 
@@ -53,8 +51,8 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Table(ABC):
-    """A way to write logs as tables."""
+class Csv:
+    """A way to write logs as delimited text, a cell at a time."""
 
     # Keys of the config's `logs` section that state it.
     logs: Mapping[str, Any] = field(default_factory=dict)
@@ -62,21 +60,18 @@ class Table(ABC):
     units: Mapping[str, str] = field(default_factory=dict)
     # By channel, what it is called in the log, where that is not its canonical name.
     names: Mapping[str, str] = field(default_factory=dict)
-
-    format: ClassVar[str]
-
-    @property
-    @abstractmethod
-    def suffix(self) -> str:
-        """End of a file's name."""
-
-    @abstractmethod
-    def cells(self, values: Values) -> Sequence[Any]:
-        """Readings as a column."""
-
-    @abstractmethod
-    def file(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Any]]) -> Path:
-        """Write a table; returns its path."""
+    # line_end, bom, quoted, packed: of the text; `packed` is the suffix of the packer.
+    line_end: str = "\n"
+    bom: bytes = b""
+    quoted: bool = False
+    packed: str = ""
+    # ISO 8601: the zone whose offset each stamp carries; empty: it carries none.
+    written_zone: str = ""
+    tokens: tuple[str, ...] = ("",)  # what stands for no reading, in turn
+    # Rows after which the header comes again, with its rows of units; 0: never.
+    header_every: int = 0
+    reverse: bool = False  # the columns stand the other way round
+    company: bool = False  # there are columns of others, too
 
     def key(self, key: str, fallback: str) -> str:
         """A key of the config's `logs` section."""
@@ -95,7 +90,7 @@ class Table(ABC):
     def source_of(self, channels: Iterable[ChannelName]) -> Source:
         """Arguments of a reader."""
         wanted = {name: Channel(**self.source(name)) for name in channels}
-        return Source.of(self.format, wanted, **self.logs)
+        return Source.of("csv", wanted, **self.logs)
 
     def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
         """Write a log as one file or several whose names begin with `stem`; returns them."""
@@ -107,13 +102,13 @@ class Table(ABC):
             for name, own in log.values.items()
         }
         if layout == "file_per_channel":
-            paths = [folder / f"{stem}+{name}{self.suffix}" for name in log.values]
+            paths = [folder / f"{stem}+{name}.csv{self.packed}" for name in log.values]
             columns = [{value: self.cells(own)} for own in written.values()]
             return [
                 self.file(path, log.time_us, column)
                 for path, column in zip(paths, columns, strict=True)
             ]
-        path = folder / f"{stem}{self.suffix}"
+        path = folder / f"{stem}.csv{self.packed}"
         if layout == "wide":
             wide = {name: self.cells(own) for name, own in written.items()}
             return [self.file(path, log.time_us, wide)]
@@ -130,30 +125,6 @@ class Table(ABC):
     def excel_days(self, time_us: int) -> float:
         """A stamp as days of a spreadsheet."""
         return (self.wall_clock(time_us).replace(tzinfo=None) - EXCEL_ZERO) / dt.timedelta(days=1)
-
-
-@dataclass(frozen=True)
-class Csv(Table):
-    """Delimited text, a cell at a time."""
-
-    # line_end, bom, quoted, packed: of the text; `packed` is the suffix of the packer.
-    line_end: str = "\n"
-    bom: bytes = b""
-    quoted: bool = False
-    packed: str = ""
-    # ISO 8601: the zone whose offset each stamp carries; empty: it carries none.
-    written_zone: str = ""
-    tokens: tuple[str, ...] = ("",)  # what stands for no reading, in turn
-    # Rows after which the header comes again, with its rows of units; 0: never.
-    header_every: int = 0
-    reverse: bool = False  # the columns stand the other way round
-    company: bool = False  # there are columns of others, too
-
-    format: ClassVar[str] = "csv"
-
-    @property
-    def suffix(self) -> str:
-        return f".csv{self.packed}"
 
     def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
         """Write cells as they are."""
@@ -219,62 +190,10 @@ class Csv(Table):
         return path
 
 
-@dataclass(frozen=True)
-class Parquet(Table):
-    """Columns in the types of many makes, by PyArrow."""
-
-    kind: pa.DataType = FLOAT64  # type of the readings
-    # time_unit, zone: of a time stamp; None: it has no zone and is on the logger's wall clock.
-    time_unit: str = "us"
-    zone: str | None = "UTC"
-    within: tuple[str, ...] = ()  # names of columns around those of the readings
-    dictionary: bool = False  # names of channels are in a dictionary
-    options: Mapping[str, Any] = field(default_factory=dict)  # of `pyarrow.parquet.write_table`
-
-    format: ClassVar[str] = "parquet"
-
-    @property
-    def suffix(self) -> str:
-        return ".parquet"
-
-    def source(self, channel: str) -> dict[str, Any]:
-        keys = super().source(channel)
-        wide = self.key("layout", "wide") == "wide"
-        return keys | ({"source": ".".join([*self.within, keys["source"]])} if wide else {})
-
-    def table(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]]) -> None:
-        """Write cells as they are."""
-        cells = {name: pa.array(list(own), pa.float64()) for name, own in columns.items()}
-        self.file(path, time_us, cells)
-
-    def cells(self, values: Values) -> pa.Array:
-        return pa.array(values, from_pandas=True).cast(self.kind)
-
-    def _stamps(self, time_us: Times) -> pa.Array:
-        form = self.logs.get("time_format")
-        if form == "excel_days":
-            return pa.array([self.excel_days(time) for time in time_us.tolist()], pa.float64())
-        if form is not None:
-            return self._in_unit(time_us, form.removeprefix("epoch_"))
-        if not self.zone:
-            naive = (self.wall_clock(time).replace(tzinfo=dt.UTC) for time in time_us.tolist())
-            time_us = np.array([(moment - EPOCH) // MICROSECOND for moment in naive], np.int64)
-        stamps = self._in_unit(time_us, self.time_unit)
-        return stamps.cast(pa.timestamp(self.time_unit, self.zone))
-
-    @staticmethod
-    def _in_unit(time_us: Times, unit: str) -> pa.Array:
-        if unit == "ns":
-            return pa.array(time_us * 1000)
-        per_unit = PER_UNIT_US[unit]
-        return pa.array(time_us / per_unit if (time_us % per_unit).any() else time_us // per_unit)
-
-    def file(self, path: Path, time_us: Times, columns: Mapping[str, Sequence[Any]]) -> Path:
-        name = self.key("channel_column", "channel")
-        if self.dictionary and name in columns:
-            columns = {**columns, name: pa.array(columns[name], pa.string()).dictionary_encode()}
-        for around in reversed(self.within):
-            columns = {around: pa.StructArray.from_arrays(list(columns.values()), list(columns))}
-        time = {self.key("time", "time"): self._stamps(time_us)}
-        pq.write_table(pa.table({**time, **columns}), path, **self.options)
-        return path
+def write_parquet(
+    path: Path, time_us: Times, columns: Mapping[str, Sequence[Cell]], **options: Any
+) -> None:
+    """Write a table of numbers."""
+    cells = {name: pa.array(list(own), pa.float64()) for name, own in columns.items()}
+    times = pa.array(time_us, pa.timestamp("us", "UTC"))
+    pq.write_table(pa.table({"time": times, **cells}), path, **options)

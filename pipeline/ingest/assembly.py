@@ -114,30 +114,21 @@ class Growing(Generic[_T]):
     """
 
     def __init__(self, dtype: type[_T]) -> None:
-        self._array: NDArray[_T] = np.empty(0, dtype)
-        self._size = 0
-        self._is_own = False  # not a piece
+        self._dtype, self._first = dtype, np.empty(0, dtype)
+        self._bytes = bytearray()  # of all pieces, once there are two
 
     def append(self, piece: NDArray[_T]) -> None:
         """Add a piece at the end."""
-        begin, self._size = self._size, self._size + piece.size
-        if not begin:
-            self._array = piece
+        if not self._first.size:
+            self._first = piece
             return
-        if not self._is_own:
-            first, self._array = self._array, np.empty(2 * self._size, piece.dtype)
-            self._array[:begin] = first
-            self._is_own = True
-        elif self._size > self._array.size:
-            # A large array is moved by its pages, not copied, and room costs nothing till used.
-            self._array.resize(2 * self._size, refcheck=False)
-        self._array[begin : self._size] = piece
+        # A large array is moved by its pages, not copied.
+        for part in (piece,) if self._bytes else (self._first, piece):
+            self._bytes += part.tobytes()
 
     def taken(self) -> NDArray[_T]:
-        """All elements, to be given up; room that was not needed goes back."""
-        if self._is_own:
-            self._array.resize(self._size, refcheck=False)
-        return self._array
+        """Return all elements, to be given up."""
+        return np.frombuffer(self._bytes, self._dtype) if self._bytes else self._first
 
 
 class _Column:

@@ -73,7 +73,8 @@ def _read(file: LogFile) -> RawLog:
 def _span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp of a CSV, from its first and last rows where these can be read."""
     times = Columns(wanted_columns(file).time)
-    is_plain = is_utf8(file.logs.encoding) and not is_packed(file.path)
+    with file.path.open("rb") as text_file:
+        is_plain = _is_utf8(file.logs.encoding) and _packer(text_file.read(8)) is None
     if is_plain and file.path.stat().st_size > 4 * _SPAN_PIECE:
         # Where they cannot be read, the whole file says what is wrong, or has the span.
         with suppress(LogError):
@@ -359,15 +360,9 @@ def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
 # The text: unpacked, decoded and cut into pieces of whole lines
 
 
-def is_utf8(encoding: str) -> bool:
+def _is_utf8(encoding: str) -> bool:
     """True if text in an encoding is UTF-8 as it stands."""
     return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
-
-
-def is_packed(path: Path) -> bool:
-    """True if a file is compressed, by its first bytes."""
-    with path.open("rb") as file:
-        return _packer(file.read(8)) is not None
 
 
 def _packer(head: bytes) -> str | None:
@@ -448,7 +443,7 @@ def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[b
 
 def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
     """Pieces in UTF-8; half a character at the end is left to the last, cut row."""
-    if is_utf8(encoding):
+    if _is_utf8(encoding):
         yield from pieces
         return
     decoder = codecs.getincrementaldecoder(encoding)()

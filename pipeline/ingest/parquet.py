@@ -7,11 +7,10 @@ only where that is of a size that a log can have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -61,9 +60,10 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
     path, logs = file.path, file.logs
     table = RawTable(file, columns, partial(_stamps, file), lambda _, cells: readings_of(cells))
     with opened(path) as opened_file:
-        places = {name: _place(path, opened_file.schema_arrow, name) for name in columns.all}
+        kinds = kinds_of(opened_file)
+        _require_columns(path, kinds.names, columns.all)
         for name in columns.numbers:
-            kind = places[name].kind
+            kind = kinds.field(name).type
             if not (is_number(kind) or pa.types.is_null(kind)):
                 channels = ", ".join(
                     known
@@ -72,24 +72,23 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
                 )
                 how = f"column {name!r} (channel {channels}) is of type {kind}, which is no number"
                 raise LogError("log_type", path, how, name)
-        if columns.name is not None and not is_text(places[columns.name].kind):
+        if columns.name is not None and not is_text(kinds.field(columns.name).type):
             how = f"column {columns.name!r} holds no names of channels"
             raise LogError("log_type", path, how, columns.name)
-        texts = [name for name in text_paths(opened_file.schema_arrow) if name in places]
+        texts = [name for name in text_paths(kinds) if name in columns.all]
         if not texts:
-            _add_rows(table, path, opened_file, places)
+            _add_rows(table, path, opened_file, columns.all)
             return table
     with opened(path, texts) as opened_file:
-        _add_rows(table, path, opened_file, places)
+        _add_rows(table, path, opened_file, columns.all)
     return table
 
 
-def _add_rows(
-    table: RawTable, path: Path, file: pq.ParquetFile, places: Mapping[str, _Place]
-) -> None:
+def _add_rows(table: RawTable, path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> None:
     """Add the rows of a file to a table of its columns."""
-    for batch in _batches(path, file, list(places)):
-        parts = {name: _within(path, batch, place) for name, place in places.items()}
+    for batch in _batches(path, file, list(columns)):
+        cells = flat(pa.Table.from_batches([batch]))
+        parts = {name: decoded(path, name, cells[name].chunk(0)) for name in columns}
         table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
 
 
@@ -189,40 +188,36 @@ def _require_magic(path: Path) -> None:
         )
 
 
-class _Place(NamedTuple):
-    """A column: its name and those of the columns around it, from the top, and its type."""
-
-    names: tuple[str, ...]
-    kind: pa.DataType
-
-
-def _places(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator[_Place]:
-    """All columns, those within others too."""
-    for field in fields:
-        names = (*above, field.name)
-        kind = field.type
-        yield _Place(names, kind.value_type if pa.types.is_dictionary(kind) else kind)
-        if pa.types.is_struct(kind):
-            yield from _places(kind, names)
+def flat(table: pa.Table) -> pa.Table:
+    """Return a table with the columns within columns by their paths."""
+    while any(map(pa.types.is_struct, table.schema.types)):
+        table = table.flatten()
+    return table
 
 
-def _place(path: Path, schema: pa.Schema, name: str) -> _Place:
-    """Place of a column by its name, or within others by its path."""
-    paths = [(".".join(place.names), place) for place in _places(schema)]
-    matches = [place for own, place in paths if own == name]
-    if len(matches) > 1:
-        how = f"{len(matches)} columns are called {name!r}: rename one"
-        raise LogError("log_column_twice", path, how)
-    if not matches:
-        leaves = [own for own, place in paths if not pa.types.is_struct(place.kind)]
-        there = ", ".join(map(repr, leaves[:40]))
-        raise LogError("log_column_missing", path, f"no column {name!r}; there are {there}")
-    return matches[0]
+def kinds_of(file: pq.ParquetFile) -> pa.Schema:
+    """Return all columns by their paths, with the types of their cells."""
+    return pa.schema(
+        field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
+        for field in flat(file.schema_arrow.empty_table()).schema
+    )
 
 
 def text_paths(schema: pa.Schema) -> list[str]:
-    """Paths of all columns of text, those within others too."""
-    return [".".join(place.names) for place in _places(schema) if is_text(place.kind)]
+    """Return the columns of text."""
+    return [field.name for field in schema if is_text(field.type)]
+
+
+def _require_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> None:
+    """Refuse columns that are not there, or several times."""
+    for name in wanted:
+        count = names.count(name)
+        if count > 1:
+            how = f"{count} columns are called {name!r}: rename one"
+            raise LogError("log_column_twice", path, how)
+        if not count:
+            there = ", ".join(map(repr, names[:40]))
+            raise LogError("log_column_missing", path, f"no column {name!r}; there are {there}")
 
 
 def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
@@ -236,14 +231,6 @@ def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
             how = f"column {name!r} expands to {size} bytes in {rows} rows, too many for a log: "
             raise LogError("log_too_large", path, how + "check its content", name)
     return column.dictionary_decode()
-
-
-def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.Array:
-    """The column at a place; null where any around it is."""
-    column = batch.column(place.names[0])
-    if len(place.names) > 1:
-        column = pc.struct_field(column, list(place.names[1:]))
-    return decoded(path, ".".join(place.names), column)
 
 
 READER = Reader(_read, _span)

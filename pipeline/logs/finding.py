@@ -295,16 +295,16 @@ class StoredLogs(FolderLogs):
         self._spec = spec
         self._latest_us = latest_us
         self._store = ObjectStore.at(spec.log_url)
-        self._found, self.absent, self._unmatched = _matching_objects(
+        self._objects, self.absent, self._unmatched = _matching_objects(
             self._store, spec.file.logs.files
         )
-        self.names = tuple(sorted(self._found))
+        self.names = tuple(sorted(self._objects))
         self._folder = Path(tempfile.mkdtemp(prefix="motor-leakage-logs-"))
         weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
     def _seen(self, name: str) -> FileRecord:
-        stored = self._found[name]
+        stored = self._objects[name]
         tag = int.from_bytes(sha256(stored.tag.encode()).digest()[:6], "big")
         modified_ns = round(stored.modified.timestamp()) * 1_000_000_000
         return FileRecord(name, stored.size, modified_ns, None, inode=tag)
@@ -317,7 +317,7 @@ class StoredLogs(FolderLogs):
         folder = self._folder / sha256(name.encode()).hexdigest()[:16]
         # Readers go by a file's ending, and messages by its name.
         path = folder / Path(name).name
-        stored = self._found.get(name)
+        stored = self._objects.get(name)
         if stored is None:
             return path
         try:

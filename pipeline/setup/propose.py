@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -73,10 +74,17 @@ def propose(
     if not files:
         raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
-    sniffed, asked = _Sniffed(), Asked(answers)
+    table_of, asked = cache(_sniffed), Asked(answers)
     motors, faults, n_done = list[ProposedMotor](), list[str](), 0
-    for kind in kinds_of(files, root, sniffed.columns, sniffed.span, asked.ask):
-        table = sniffed.table(kind.files[-1])
+    kinds = kinds_of(
+        files,
+        root,
+        lambda path: _in_common(table_of(path)),
+        lambda path: _span(path, table_of(path)),
+        asked.ask,
+    )
+    for kind in kinds:
+        table = table_of(kind.files[-1])
         n_done += len(kind.files)
         progress(n_done, len(files))
         if isinstance(table, LogError):
@@ -96,32 +104,19 @@ def propose(
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
 
 
-class _Sniffed:
-    """Logs of a source, each taken apart once."""
+def _sniffed(path: Path) -> Table | LogError:
+    """Return a log as it is sniffed, or why it cannot be."""
+    try:
+        return sniff(path)
+    except LogError as error:
+        return error
 
-    def __init__(self) -> None:
-        self._tables: dict[Path, Table | LogError] = {}
 
-    def table(self, path: Path) -> Table | LogError:
-        """Return a log as it is sniffed, or why it cannot be."""
-        if path not in self._tables:
-            try:
-                self._tables[path] = sniff(path)
-            except LogError as error:
-                self._tables[path] = error
-        return self._tables[path]
-
-    def columns(self, path: Path) -> object:
-        """Return what logs of a motor have in common; None where a log cannot be read."""
-        table = self.table(path)
-        if isinstance(table, LogError):
-            return None
-        return table.logs["format"], table.times, [column.name for column in table.columns]
-
-    def span(self, path: Path) -> tuple[int, int] | None:
-        """Return the ends of a log, or None where they are not known."""
-        table = self.table(path)
-        return None if isinstance(table, LogError) else _span(path, table)
+def _in_common(table: Table | LogError) -> object:
+    """Return what logs of a motor have in common; None where a log cannot be read."""
+    if isinstance(table, LogError):
+        return None
+    return table.logs["format"], table.times, [column.name for column in table.columns]
 
 
 def _why_no_log(folder: Path) -> str:
@@ -192,9 +187,9 @@ def _agrees(path: Path, table: Table) -> bool:
     return off is not None and off <= NEAR_DAYS
 
 
-def _span(path: Path, table: Table) -> tuple[int, int] | None:
+def _span(path: Path, table: Table | LogError) -> tuple[int, int] | None:
     """Return ends of a log as far as its dialect is known."""
-    if not table.columns:
+    if isinstance(table, LogError) or not table.columns:
         return None
     with suppress(LogError, ValueError):
         logs = Logs.model_validate({**table.logs, "files": (path.name,)})

@@ -25,7 +25,7 @@ from pipeline.ingest.contract import readable
 from pipeline.ingest.csv import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.topics import Topic, read_topics
-from pipeline.ingest.parquet import decoded, opened, text_paths
+from pipeline.ingest.parquet import decoded, flat, kinds_of, opened, text_paths
 from pipeline.setup.names import VOCABULARY, is_in, unit_in, unit_named, words_of
 from pipeline.setup.signals import quality_words, whole_row_quality
 from pipeline.setup.tables import (
@@ -83,7 +83,7 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
     with readable(path):
         if logs.format == "parquet":
             with opened(path) as file:
-                fields = _flat(file.schema_arrow.empty_table()).schema
+                fields = kinds_of(file)
             return {field.name: _unit_of(field) for field in fields}
         lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
         header = islice(filter(str.strip, lines), 1 + logs.unit_rows)
@@ -293,24 +293,17 @@ def _parquet_columns(path: Path) -> list[Column]:
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
     """Columns, and those within them by their paths, piece by piece; the last is empty."""
     with opened(path) as file:
-        texts = text_paths(file.schema_arrow)
+        texts = text_paths(kinds_of(file))
     with opened(path, texts) as file:
         none = pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
         for batch in chain(file.iter_batches(batch_size=size, columns=wanted), [none]):
             batch.validate(full=True)
-            table = _flat(pa.Table.from_batches([batch]))
+            table = flat(pa.Table.from_batches([batch]))
             yield [
                 (field, decoded(path, field.name, values.combine_chunks()))
                 for field, values in zip(table.schema, table.columns, strict=True)
                 if table.schema.names.count(field.name) == 1
             ]
-
-
-def _flat(table: pa.Table) -> pa.Table:
-    """Return the columns within columns by their paths."""
-    while any(map(pa.types.is_struct, table.schema.types)):
-        table = table.flatten()
-    return table
 
 
 def _unit_of(field: pa.Field) -> str:

@@ -6,8 +6,10 @@ What is faster for many messages at once is each encoding's own; this is what al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +17,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath, path_text
+from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.messages import Messages, fields_at
 from pipeline.ingest.time_stamps import LATEST_US, WrittenStamps, written, written_as_numbers
@@ -27,6 +30,7 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 _NEWLINE = 10
 ELEMENTS_SHOWN = 4
 _DEEPEST = 6
+_MOST_NAMES = 40
 _INT64 = np.iinfo(np.int64)
 
 
@@ -150,6 +154,13 @@ def _readings(values: list[Any], broken: NDArray[np.bool_], example: str) -> Rea
     shown = example if broken[first] else repr(values[first])[:60]
     raw = np.array(numbers, np.float64)
     return Readings(raw, missing | unparsed, unparsed, shown if unparsed.any() else None)
+
+
+def no_field(path: Path, topic: str, field: FieldPath, there: Iterable[str]) -> LogError:
+    """Return the error of a field that no message of a topic has, with those that there are."""
+    names = ", ".join(map(repr, islice(there, _MOST_NAMES)))
+    how = f"no message of topic {topic!r} has a field {path_text(field)!r}; there are {names}"
+    return LogError("log_column_missing", path, how, topic)
 
 
 def number_of(value: object) -> float | None:

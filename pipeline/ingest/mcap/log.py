@@ -26,6 +26,7 @@ from pipeline.ingest.mcap.decoding import (
     Wanted,
     has,
     leaves,
+    no_field,
     payloads_of,
     stacked,
 )
@@ -210,13 +211,7 @@ class _Topic:
             raise LogError("log_column_missing", self.path, how)
         if self.kind == _JSON and self.unseen and self.first:
             there = sorted({path_text(path) for path, _ in leaves(json_object(self.first) or {})})
-            raise LogError(
-                "log_column_missing",
-                self.path,
-                f"no message of topic {self.name!r} has a field {path_text(self.unseen[0])!r}; "
-                f"there are {', '.join(map(repr, there[:_MOST_NAMES]))}",
-                self.name,
-            )
+            raise no_field(self.path, self.name, self.unseen[0], there)
 
     def raw_channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
         """Its channels at these stamps; the readings are given up."""

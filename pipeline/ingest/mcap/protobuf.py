@@ -9,7 +9,6 @@ Truth values and members of an enum are their numbers. Maps are not read.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,17 @@ from mcap.records import Schema
 
 from pipeline.config.dialect import FieldPath, path_text
 from pipeline.errors import LogError
-from pipeline.ingest.mcap.decoding import Decoded, Decoder, Payloads, Value, Wanted, one_by_one
+from pipeline.ingest.mcap.decoding import (
+    Decoded,
+    Decoder,
+    Payloads,
+    Value,
+    Wanted,
+    no_field,
+    one_by_one,
+)
 
 _BROKEN = "a message that is not as its descriptor says"
-_MOST_NAMES = 40
 
 
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
@@ -33,11 +39,7 @@ def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> 
         try:
             values[field] = _value(descriptor, field, stamp=field == wanted.stamp)
         except LookupError as error:
-            there = ", ".join(map(repr, islice(_names(descriptor, ()), _MOST_NAMES)))
-            how = (
-                f"messages of topic {topic!r} have no field {path_text(field)!r}; there are {there}"
-            )
-            raise LogError("log_column_missing", path, how, topic) from error
+            raise no_field(path, topic, field, _names(descriptor, ())) from error
         except TypeError as error:
             how = f"field {path_text(field)!r} is no number but {error}"
             raise LogError("log_type", path, how, topic) from error

@@ -14,7 +14,6 @@ import struct
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +34,7 @@ from pipeline.ingest.mcap.decoding import (
     Payloads,
     Wanted,
     leaves,
+    no_field,
     number_of,
     one_by_one,
     pair_of,
@@ -54,7 +54,6 @@ _FORMATS = dict(zip(_NUMBERS.split(), "?BbbBhHiIqQfd", strict=True))
 _HEAD = 4
 _TEXT = "text"
 _BROKEN = "a message that is cut or not in CDR"
-_MOST_NAMES = 40
 _MOST_LAYOUTS = 16
 
 MOST_READ = 2**18
@@ -141,10 +140,8 @@ def _require_number(path: Path, topic: str, sample: Any, wanted: FieldPath) -> N
     """Refuse a field that a sample of the messages has not, or that is no number there."""
     value = value_at(sample, wanted)
     if value is None:
-        numbers = (at for at, leaf in leaves(sample) if number_of(leaf) is not None)
-        there = ", ".join(repr(path_text(at)) for at in islice(numbers, _MOST_NAMES))
-        how = f"messages of topic {topic!r} have no field {path_text(wanted)!r}; there are {there}"
-        raise LogError("log_column_missing", path, how, topic)
+        numbers = (path_text(at) for at, leaf in leaves(sample) if number_of(leaf) is not None)
+        raise no_field(path, topic, wanted, numbers)
     if number_of(value) is None:
         kind = "an array" if isinstance(value, list) else "text or a message"
         how = f"field {path_text(wanted)!r} is no number but {kind}"

@@ -10,12 +10,10 @@ import pytest
 from pydantic import ValidationError
 
 from pipeline.config import dialect
-from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import CHANNELS
 from tests.pipeline.ingest.sources import logs_of
-from tests.pipeline.simulated import load_motor, motor_toml
 
 HEAD = """
 import numpy as np
@@ -67,18 +65,6 @@ def test_a_format_of_two_packages_is_a_fault_that_names_both(install: Install) -
     install("mine-too", "mine")
     with pytest.raises(ValidationError, match=r"mine 1\.0 and mine-too 1\.0"):
         logs_of("mine")
-
-
-def test_a_new_version_reads_its_logs_again(install: Install, tmp_path: Path) -> None:
-    install("some", code=HEAD + "READER = Reader(read)")
-    spec = load_motor(tmp_path, motor_toml("M1").replace('"parquet"', '"some"'))
-    before = reading_hash(spec)
-    assert reading_hash(spec) == before
-    next(Path(sys.path[0]).glob("some-1.0.dist-info/METADATA")).write_text(
-        "Name: some\nVersion: 1.1\n", "utf-8"
-    )
-    dialect.installed.cache_clear()
-    assert reading_hash(spec) != before
 
 
 def test_a_reader_gets_its_options_and_the_defaults(install: Install, tmp_path: Path) -> None:

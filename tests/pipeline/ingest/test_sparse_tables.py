@@ -10,7 +10,7 @@ import pytest
 from pipeline.config.channels import Channels
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US, Cell
-from tests.dialects import Csv, Parquet
+from tests.dialects import Csv, write_parquet
 
 from .sources import Source, column
 
@@ -20,14 +20,14 @@ CHANNELS: Channels = {
     "oil_temperature": column("T", "degC"),
     "leakage_flow": column("q", "l/min"),
 }
-TABLES = {"csv": Csv(written_zone="UTC"), "parquet": Parquet()}
+WRITERS = {"csv": Csv(written_zone="UTC").table, "parquet": write_parquet}
 Cells = dict[str, list[Cell]]
 
 
 def read(path: Path, kind: str, cells: Cells, source: Source) -> RawLog:
     """The log that a table of a row a second is read as."""
     times = T0_US + 1_000_000 * np.arange(len(next(iter(cells.values()))))
-    TABLES[kind].table(path, times, cells)
+    WRITERS[kind](path, times, cells)
     return read_log(path, *source)
 
 

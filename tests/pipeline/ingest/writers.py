@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from mcap.writer import CompressionType, IndexType
 
 from pipeline.ingest.conformance import NAMES, Cell, Format, Row
-from tests.dialects import Csv, Parquet
+from tests.dialects import Csv, write_parquet
 
 from .mcap.protobuf_files import NAME, set_of
 from .mcap_files import mcap_bytes
@@ -23,26 +24,24 @@ from .mcap_files import mcap_bytes
 Write = Callable[[Path, Sequence[Row], Sequence[str]], None]
 
 
-def table(dialect: Csv | Parquet) -> Write:
+def table(write_cells: Callable[..., None]) -> Write:
     """Writer of rows as a table."""
 
     def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
         time_us = np.array([row.time_us for row in rows], np.int64)
-        dialect.table(
-            path, time_us, {name: [row.cells.get(name) for row in rows] for name in names}
-        )
+        write_cells(path, time_us, {name: [row.cells.get(name) for row in rows] for name in names})
 
     return write
 
 
 def csv(written_zone: str = "UTC", **options: Any) -> Write:
     """Writer of plain CSV."""
-    return table(Csv(written_zone=written_zone, **options))
+    return table(Csv(written_zone=written_zone, **options).table)
 
 
 def parquet(**options: Any) -> Write:
     """Writer of plain Parquet."""
-    return table(Parquet(options=options))
+    return table(partial(write_parquet, **options))
 
 
 VALUE = set_of("proto3", Hydraulics="double value").SerializeToString()
@@ -110,7 +109,7 @@ EUROPEAN = Csv(
 )
 FORMATS = (
     Format("csv", "csv", csv(), has_whole_rows=True),
-    Format("csv-european", "csv", table(EUROPEAN), keys=EUROPEAN.logs, has_whole_rows=True),
+    Format("csv-european", "csv", table(EUROPEAN.table), keys=EUROPEAN.logs, has_whole_rows=True),
     Format(
         "parquet", "parquet", parquet(row_group_size=37, write_page_checksum=True), holds_text=False
     ),

@@ -176,9 +176,7 @@ class TestFiles:
         expected = 8 * np.pi * 35.0e-3 * 8.0e-6**3 / (6 * 4.0e-3)
         assert found == pytest.approx(expected, rel=1e-9)
 
-    @pytest.mark.parametrize(
-        "borders", [[BORDER], [BORDER - 700, BORDER], [1000, BORDER + 95], [BORDER - 141]]
-    )
+    @pytest.mark.parametrize("borders", [[BORDER - 700, BORDER], [1000, BORDER + 95]])
     def test_in_whatever_files(self, make: Make, log: Log, borders: list[int]) -> None:
         in_one, in_parts = make(), make()
         write(in_one, "all", slice(None), log)
@@ -187,27 +185,6 @@ class TestFiles:
         in_one.run()
         assert dict(in_parts.run().counts) == {"ok": 2}
         check_same_figures(in_one, in_parts, "log_files")
-
-    def test_in_whatever_order_they_come(self, make: Make, log: Log) -> None:
-        at_once, early_first, late_first = make(), make(), make()
-        parts = {"a": slice(0, BORDER), "b": slice(BORDER, None)}
-        for name, rows in parts.items():
-            write(at_once, name, rows, log)
-        at_once.run()
-        write(early_first, "a", parts["a"], log)
-        # Its last value would hold into a night of which there is no log yet.
-        assert early_first.run().nights == (NIGHT,)
-        write(early_first, "b", parts["b"], log)
-        assert early_first.run().nights == (NIGHT + DAY,)
-        check_same_figures(at_once, early_first, "log_files")
-        write(late_first, "b", parts["b"], log)
-        assert late_first.run().nights == (NIGHT + DAY,)
-        assert gaps(late_first)[0] >= 90
-        write(late_first, "a", parts["a"], log)
-        assert late_first.run().nights == (NIGHT, NIGHT + DAY)
-        check_same_figures(at_once, late_first, "log_files")
-        for workshop in (at_once, early_first, late_first):
-            assert workshop.run().nights == ()
 
     def test_a_correction_of_the_night_before_that_reaches_over_the_border_redoes_both(
         self, make: Make, log: Log

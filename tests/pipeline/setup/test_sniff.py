@@ -20,11 +20,10 @@ from mcap_ros2._dynamic import serialize_dynamic
 from pipeline.errors import LogError
 from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
-from tests.dialects import Parquet, Recorded
+from tests.dialects import Recorded
 from tests.pipeline.calling import refused
 from tests.pipeline.ingest.mcap_files import HEADER
 from tests.pipeline.setup.proposed import (
-    KPA,
     NAMES,
     START_US,
     log_in,
@@ -200,24 +199,36 @@ def test_what_is_no_file(tmp_path: Path, name: str, code: str) -> None:
 # Parquet
 
 
-@pytest.mark.parametrize(
-    ("logs", "options"),
-    [
-        ({}, {"time_unit": "ns", "zone": None}),
-        *(({"time_format": form}, {}) for form in ("epoch_ms", "excel_days")),
-        ({}, {"within": ("drive",)}),
-        ({"layout": "long", "channel_column": "signal"},
-         {"dictionary": True, "options": {"row_group_size": 17}}),
-    ],
-    ids=str,
-)  # fmt: skip
-def test_parquet(tmp_path: Path, logs: dict[str, Any], options: dict[str, Any]) -> None:
-    log = log_of(blank=None if "layout" in logs else 4)
-    dialect = Parquet(logs, KPA, names=NAMES["name"], **options)
-    (path,) = dialect.write(tmp_path, "log", log)
-    motor = require_it_reads(path, log)
-    within = ".".join((*options.get("within", ()), "Speed [1/min]"))
-    assert motor.channels["speed"].keys["source"] == within
+@pytest.mark.parametrize("form", ["ns", "epoch_ms", "excel_days", "within", "long"])
+def test_parquet(tmp_path: Path, form: str) -> None:
+    log = log_of(blank=None if form == "long" else 4)
+    stamps = {
+        "ns": pa.array(1000 * log.time_us, pa.timestamp("ns")),
+        "epoch_ms": pa.array(log.time_us // 1000),
+        "excel_days": pa.array(log.time_us / 86_400e6 + 25_569.0),
+    }
+    time = stamps.get(form, pa.array(log.time_us, pa.timestamp("us", "UTC")))
+    columns = {
+        title: pa.array(
+            100.0 * log.values[name] if "kPa" in title else log.values[name], from_pandas=True
+        )
+        for name, title in NAMES["name"].items()
+    }
+    if form == "within":
+        columns = {"drive": pa.StructArray.from_arrays(list(columns.values()), list(columns))}
+    elif form == "long":
+        tags = [name for name in columns for _ in log.time_us]
+        time = pa.concat_arrays([time] * len(columns))
+        columns = {
+            "signal": pa.array(tags).dictionary_encode(),
+            "value": pa.concat_arrays(list(columns.values())),
+        }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table({"time": time, **columns}), sink, row_group_size=17)
+    motor = require_it_reads(log_in(tmp_path, sink.getvalue().to_pybytes(), "log.parquet"), log)
+    assert ("Speed [1/min]" if form != "within" else "drive.Speed [1/min]") == motor.channels[
+        "speed"
+    ].keys["source"]
 
 
 @pytest.mark.parametrize("is_apart", [False, True])

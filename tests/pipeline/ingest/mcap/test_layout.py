@@ -110,6 +110,8 @@ def test_a_chunk_that_unfolds_to_another_size_is_damage(
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])
 def test_a_chunk_that_unfolds_without_end_is_stopped(tmp_path: Path, compression: str) -> None:
     bomb = bytes(2**26)
+    other = chunk_record(DP + ONE, DP + ONE, "gzip")
+    assert error_of(tmp_path, file_of(other)).code == "log_compression"
     for size, code in ((1000, "log_damaged"), (2**28 + 1, "log_too_large")):
         chunk = chunk_record(bomb, PACKERS[compression](bomb), compression, size=size)
         assert error_of(tmp_path, file_of(chunk)).code == code
