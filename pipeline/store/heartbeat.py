@@ -38,7 +38,7 @@ class Beat:
     """State of a run; times are UTC."""
 
     state: str  # running, finished, interrupted or failed
-    stage: str  # motors, publishing, trends, recording, notifying or copying
+    stage: str  # preparing, motors, publishing, trends, recording, notifying or copying
     # started_at, beaten_at: begin of the run, and time of this beat.
     started_at: AwareDatetime
     beaten_at: AwareDatetime
@@ -82,7 +82,7 @@ class Heartbeat:
     def __init__(self, output: Path, n_motors: int, last_good_run: dt.datetime | None) -> None:
         now, host = dt.datetime.now(dt.UTC), socket.gethostname()
         self._beat = Beat(
-            RUNNING, "motors", now, now, os.getpid(), host, n_motors, last_good_run=last_good_run
+            RUNNING, "preparing", now, now, os.getpid(), host, n_motors, last_good_run=last_good_run
         )
         self._file = heartbeat_file(output)
         self._changing = threading.Lock()

@@ -226,7 +226,6 @@ def test_a_second_run_is_turned_away_and_what_is_stopped_goes_on(
         while stage_of(plant) != "motors":
             assert process.poll() is None
             time.sleep(0.01)
-        time.sleep(0.3)  # from the word of the stage into it, where a signal is waited for
         # At rest, so that it is not done before the signal, however slow the second one is.
         os.killpg(process.pid, signal.SIGSTOP)
         second = plant.run(*words)
