@@ -107,7 +107,7 @@ class Chart:
     panels: tuple[Panel, ...]
     shaded: tuple[tuple[dt.date, dt.date], ...] = ()  # first and last night of each baseline
     marks: tuple[Mark, ...] = ()  # in order of time
-    ahead: float = 0.0  # days that are shown beyond the last night
+    until: np.datetime64 | None = None  # beyond the last night; None: that
 
 
 def watch_chart(
@@ -126,7 +126,7 @@ def watch_chart(
         _shown(panels),
         tuple(motor.baselines),
         tuple(sorted(marks, key=lambda mark: mark.night)),
-        projection.ahead if projection else 0.0,
+        projection[1].time.max() if projection else None,
     )
 
 
@@ -203,18 +203,8 @@ def path_places(names: Iterable[str]) -> dict[str, int]:
     return {name: place for place, name in enumerate(order) if name in paths}
 
 
-@dataclass(frozen=True, slots=True)
-class Projection:
-    """Where the present trend of the leakage reaches the alarm level, from the newest night on."""
-
-    line: Line  # to the likeliest date, or to the earliest where only that is known
-    area: Area  # between the earliest and the latest date
-    ahead: float  # days to show beyond the last night
-    end: np.datetime64  # of these days
-
-
-def _projection(motor: MotorHistory) -> Projection | None:
-    """Return that of the newest night; None where no date can be named, or it has come."""
+def _projection(motor: MotorHistory) -> tuple[Line, Area] | None:
+    """Return the present trend's way to the alarm level, and its 90 % band; None without a date."""
     if not motor.nights:
         return None
     row, level = motor.rows.row(-1, named=True), _alarm_level(motor)
@@ -222,8 +212,7 @@ def _projection(motor: MotorHistory) -> Projection | None:
     likeliest, latest = row["days_to_limit"], row["days_to_limit_upper"]
     if row["days_to_limit_status"] not in DATED or change is None or not change < level:
         return None
-    ahead = BEYOND * (latest or likeliest or earliest)
-    end = latest or ahead
+    end = latest or BEYOND * (likeliest or earliest)
     corners = [(0.0, change), (earliest, level), (end, level)]
     corners += [] if latest else [(end, change)]
     night = np.datetime64(row["night"], "m")
@@ -235,7 +224,7 @@ def _projection(motor: MotorHistory) -> Projection | None:
     name = "90 % band" if likeliest else "earliest of its 90 % band"
     values, until = np.array([change, level]), after(0.0, likeliest or earliest)
     line = Line(f"projection, {name}", values, ORANGE, dash="dash", time=until)
-    return Projection(line, Area(after(*days), np.array(changes), ORANGE), ahead, after(ahead)[0])
+    return line, Area(after(*days), np.array(changes), ORANGE)
 
 
 def _alarm_level(motor: MotorHistory) -> float:
@@ -249,7 +238,7 @@ def _alarm_level(motor: MotorHistory) -> float:
     return float(np.fmin(level, 100.0 * (row["alarm_limit_l_per_min"] / means[-1] - 1.0)))
 
 
-def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
+def _leakage_panel(motor: MotorHistory, projection: tuple[Line, Area] | None) -> Panel:
     """The leakage against its baseline; without any, the drain flow as measured."""
     change, lower, upper = (
         motor.figure(f"leakage_change_{end}") for end in ("percent", "lower", "upper")
@@ -261,7 +250,7 @@ def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
     alarm, limits = _alarm_level(motor), motor.figure("detection_limit_percent")
     span = np.array([motor.nights[0], motor.nights[-1]], dtype="datetime64[m]")
     if projection is not None:
-        span[1] = projection.end
+        span[1] = projection[1].time.max()
 
     def level(name: str, height: float, colour: str, dash: str) -> Line:
         return Line(name, np.full(2, height), colour, dash=dash, time=span)
@@ -278,8 +267,8 @@ def _leakage_panel(motor: MotorHistory, projection: Projection | None) -> Panel:
         )
     areas: tuple[Area, ...] = ()
     if projection is not None:
-        lines.append(projection.line)
-        areas = (projection.area,)
+        lines.append(projection[0])
+        areas = projection[1:]
     known = np.concatenate([change, [0.0, alarm, lower[-1], upper[-1]]])
     low, high = float(np.nanmin(known)), float(np.nanmax(known))
     ends = low - 0.08 * (high - low), high + 0.08 * (high - low)

@@ -223,7 +223,7 @@ def _ranges(chart: Chart) -> dict[str, list[str]]:
     first, last = chart.time[[0, -1]].astype("datetime64[m]")
     begins = {str(n): last - np.timedelta64(n, "D") for n in RANGES}
     begins = {name: begin for name, begin in begins.items() if begin > first} | {"all": first}
-    ahead = np.timedelta64(round(1440 * min(chart.ahead, 1e5)), "m")
+    ahead = np.timedelta64(0, "m") if chart.until is None else chart.until - last
     ranges = {}
     for name, begin in begins.items():
         beyond = max((last - begin) // 50, np.timedelta64(1, "m"))

@@ -20,7 +20,6 @@ from selenium.webdriver.support.ui import Select
 
 from pipeline.config.motors import Event
 from pipeline.report.build import build_report
-from pipeline.schema import NIGHT_TABLES, TREND_TABLES
 from tests.pipeline.report.browser import (
     complaints,
     drawn,
@@ -30,7 +29,7 @@ from tests.pipeline.report.browser import (
     visit,
     wait,
 )
-from tests.pipeline.report.conftest import change_table, demo_fleet
+from tests.pipeline.report.conftest import BY_NAME, change_table, demo_fleet
 from tests.pipeline.report.judged import (
     ADVICE,
     HEADLINE,
@@ -264,31 +263,33 @@ HOSTILE = (
 )
 
 
-def hostile_output(output: Path) -> None:
-    """The tables with a stranger's words wherever a text of a log or a config can stand."""
-    texts = {
-        "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
-        "parameters": ("reason",),
-        "error_budget": ("source",),
-        "quality": ("reason",),
-        "log_files": ("path", "message"),
-        "trends": ("gated_reason", "unit"),
-        "watch": ("cause", "candidates", "sentence", "advice"),
-    }
-    keyed = {"error_budget": "source", "quality": "reason", "trends": "indicator"}
-    for table in (*NIGHT_TABLES, *TREND_TABLES):
-        unique = keyed.get(table.name)
-        names = {*texts.get(table.name, ()), *([unique] if unique else [])}
+# Where a text of a log or a config can stand, by table; of a key it stands before what was there.
+WORDS = {
+    "nights": ("motor_type", "oil", "oil_circuit", "reason", "sentence", "advice", "log_note"),
+    "latest": ("motor_type", "oil", "oil_circuit", "reason", "sentence", "advice", "log_note"),
+    "fits": ("interval_status", "fitted_leakage_reason"),
+    "parameters": ("reason",),
+    "error_budget": ("source",),
+    "quality": ("reason",),
+    "log_files": ("path", "message"),
+    "trends": ("indicator", "unit", "reason"),
+    "alarms": ("sentence",),
+}
 
-        def rename(rows: pl.DataFrame, names: Any = names, unique: Any = unique) -> pl.DataFrame:
+
+def hostile_output(output: Path) -> None:
+    """The tables with a stranger's words in them."""
+    for table, names in WORDS.items():
+        keys = {column for column in names if column in BY_NAME[table].key}
+
+        def rename(rows: pl.DataFrame, names: Any = names, keys: Any = keys) -> pl.DataFrame:
             mine = rows.filter(motor_id="CB560-01")
             return mine.with_columns(
-                (pl.lit(HOSTILE) + pl.col(name) if name == unique else pl.lit(HOSTILE)).alias(name)
+                (pl.lit(HOSTILE) + pl.col(name) if name in keys else pl.lit(HOSTILE)).alias(name)
                 for name in names
-                if name in rows.columns
             )
 
-        change_table(output, table.name, rename)
+        change_table(output, table, rename)
 
 
 def test_hostile_words_are_shown_and_do_nothing(browser: Chrome, output: Path) -> None:
