@@ -1,4 +1,4 @@
-"""No column is null in every row: a fleet to which what is rare happens, beside the demo."""
+"""No column is null in every row: a fleet to which what is rare happens, beside shared fleets."""
 
 from __future__ import annotations
 
@@ -54,14 +54,12 @@ def add_viscosity(fleet: ScenarioFleet) -> None:
     fleet.append("motors/M2.toml", channel)
 
 
-def test_every_column_has_a_value_somewhere(demo: ScenarioFleet, tmp_path: Path) -> None:
+def test_every_column_has_a_value_somewhere(
+    demo: ScenarioFleet, others: ScenarioFleet, fitted_output: Path, tmp_path: Path
+) -> None:
     filled = Filled(set)
-    # A level that wear of the demo reaches in a time that can be told.
-    near = demo.copy(tmp_path / "near")
-    near.append("fleet.toml", "[alarms]\nalarm_percent = 14")
-    without_workers(near.config)
-    assert near.run("fit-fleet", "--motors", "CB560-02").code == 0
-    filled.add(near.output)
+    for output in (demo.output, others.output, fitted_output):
+        filled.add(output)
     # A night with halts enough for an interval of the sensors' zeros.
     long = ScenarioFleet(tmp_path / "long")
     write_demo(long.folder, nights=1, minutes=120, rate_hz=1.0, motors=("CB400-01",))
