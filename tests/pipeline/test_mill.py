@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 FIRST = dt.date(2026, 3, 2)
 # Days are numbered from 0.
-WORSENS_ON, SWAPPED_FROM, DAYS = 10, 13, 15
+WORSENS_ON, SWAPPED_FROM, DAYS = 9, 11, 13
 CUT_ON = DAYS - 1
 WORSE_BY = 0.25
 SHIFT_BEGINS, PERIOD_S = dt.time(6), 5
@@ -135,14 +135,14 @@ ANSWERS = {"time_zone": "Europe/Berlin", "motor_type": "CB560", "oil": "vg68"}
 def test_a_mills_first_day_in_four_commands(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_mill(tmp_path / "logs", shift_h=4)
+    write_mill(tmp_path / "logs", shift_h=2)
     monkeypatch.chdir(tmp_path)
     answers = [part for key in ANSWERS for part in ("--answer", f"{key}={ANSWERS[key]}")]
     fleet = Path("fleet/fleet.toml")
 
     code, shown, _ = call("init", "logs", *answers, "--write")
     assert code == 0
-    days = "15 files, 2026-03-02 to 2026-03-16 (15 days)"
+    days = "13 files, 2026-03-02 to 2026-03-14 (13 days)"
     assert f"Walze1: {days}, time Zeit %d.%m.%Y %H:%M:%S, zone Europe/Berlin" in shown
     with fleet.open("a", encoding="utf-8") as file:
         file.write(SEQUENTIAL)
@@ -150,14 +150,14 @@ def test_a_mills_first_day_in_four_commands(
     stray.write_bytes(next(Path("logs/Walze1").iterdir()).read_bytes())
     code, noted, said = call("check", fleet)
     assert code == 1
-    assert "Walze2_20260315.csv) on: columns changed? oil temperature and speed look swap" in said
-    assert "Walze3_20260316.csv: the last line has no end" in noted
+    assert "Walze2_20260313.csv) on: columns changed? oil temperature and speed look swap" in said
+    assert "Walze3_20260314.csv: the last line has no end" in noted
     assert "1 file matches no motor: Walze1/old.csv" in noted
     code, _, said = call("fit-fleet", fleet)
     assert code == 1
-    assert "Walze2: columns_changed: night 2026-03-15: columns changed?" in said
+    assert "Walze2: columns_changed: night 2026-03-13: columns changed?" in said
     assert "1 file matches no motor: Walze1/old.csv" in said
-    assert "Walze3_20260316.csv: 1 last row without a line end" in said
+    assert "Walze3_20260314.csv: 1 last row without a line end" in said
     code, _, _ = call("report", fleet)
     assert code == 0
 
@@ -167,7 +167,7 @@ def test_a_mills_first_day_in_four_commands(
     worse = latest[WORSENS.name]
     assert worse["state"] in ("warning", "alarm")
     assert worse["leakage_change_lower"] < 100 * WORSE_BY < worse["leakage_change_upper"]
-    assert worse["onset_earliest"].isoformat() <= "2026-03-12" <= worse["onset_latest"].isoformat()
+    assert worse["onset_earliest"].isoformat() <= "2026-03-11" <= worse["onset_latest"].isoformat()
     for drive in (SWAPPED, CUT):
         assert latest[drive.name]["state"] == "ok"
         assert latest[drive.name]["sentence"].startswith("no change detected since ")
@@ -176,6 +176,6 @@ def test_a_mills_first_day_in_four_commands(
         assert "No change detected since" in page
     assert "columns changed?" in latest[SWAPPED.name]["reason"]
     # Cut after 70 % of the shift.
-    for words in ("2.8 h of log, 4.0 h in the nights before", "1 last row without a line end"):
+    for words in ("1.4 h of log, 2.0 h in the nights before", "1 last row without a line end"):
         assert words in latest[CUT.name]["log_note"]
         assert words in (output / f"report/motors/{CUT.name}.html").read_text("utf-8")

@@ -9,7 +9,7 @@ import pytest
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet
 
-DELAY_S, FAST = 8, {"minutes": 30.0, "nights": 10}
+DELAY_S, FAST = 8, {"minutes": 30.0, "nights": 9}
 FIGURES = ("own_leakage_l_per_min", "leakage_change_percent", "validation_fit_percent")
 MOTORS = (Simulated("late", late_flow=(1, DELAY_S)), Simulated("prompt"))
 
@@ -31,7 +31,7 @@ def column(fleet: ScenarioFleet, motor: str, name: str) -> list[float]:
 def test_a_delay_is_estimated_and_the_fit_on_unseen_samples_rises(
     unfitted: ScenarioFleet, fleet: ScenarioFleet, tmp_path: Path
 ) -> None:
-    assert column(fleet, "late", "drain_delay_s") == pytest.approx([DELAY_S] * 10, abs=0.5)
+    assert column(fleet, "late", "drain_delay_s") == pytest.approx([DELAY_S] * 9, abs=0.5)
     assert set(column(fleet, "prompt", "drain_delay_s")) == {0.0}
     plain = unfitted.copy(tmp_path)
     plain.append("fleet.toml", "[transport_delay]\nfixed_s = 0")
@@ -46,7 +46,7 @@ def test_night_by_night_it_is_decided_as_at_once(
     unfitted: ScenarioFleet, fleet: ScenarioFleet, tmp_path: Path
 ) -> None:
     by_night = unfitted.copy(tmp_path)
-    for number in (5, 8, 10):
+    for number in (5, 8, 9):
         until = ("--until", by_night.label(number))
         assert by_night.run("fit-fleet", "--motors", "late", *until).code == 0
     for name in ("drain_delay_s", *FIGURES):
@@ -68,10 +68,10 @@ def test_check_and_explain_say_what_it_gains(unfitted: ScenarioFleet, fleet: Sce
 
 @covers("fit-fleet --redo --motors", "status")
 def test_a_delay_of_later_nights_is_proposed_and_applied_on_demand(tmp_path: Path) -> None:
-    fleet = make_fleet(tmp_path, late_flow=(9, DELAY_S), minutes=30.0, nights=17).fitted()
+    fleet = make_fleet(tmp_path, late_flow=(9, DELAY_S), minutes=30.0, nights=16).fitted()
     assert set(column(fleet, "M1", "drain_delay_s")) == {0.0}
-    proposal = f"--redo {fleet.label(10)}..{fleet.label(17)} --motors M1"
+    proposal = f"--redo {fleet.label(9)}..{fleet.label(16)} --motors M1"
     assert proposal in fleet.run("status").err
     assert fleet.run("fit-fleet", *proposal.split()).code == 0
-    assert column(fleet, "M1", "drain_delay_s") == pytest.approx([DELAY_S] * 17, abs=0.5)
+    assert column(fleet, "M1", "drain_delay_s") == pytest.approx([DELAY_S] * 16, abs=0.5)
     assert "--redo" not in fleet.run("status").err

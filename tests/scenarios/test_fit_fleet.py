@@ -43,7 +43,7 @@ def test_motors_and_nights_are_those_that_are_chosen(small: ScenarioFleet) -> No
     elsewhere = small.folder / "elsewhere"
     done = small.run(
         "fit-fleet", "--motors", "B", "--since", small.label(2), "--until", small.label(3),
-        "--jobs", 1, "--output", elsewhere, "--json", process=True,
+        "--jobs", 1, "--output", elsewhere, "--json",
     )  # fmt: skip
     assert done.code == 0
     (motor,) = done.events("motor")
@@ -204,7 +204,7 @@ def test_nothing_can_be_published_where_a_file_is(small: ScenarioFleet) -> None:
     ("number", "code", "backend"),
     [
         (signal.SIGINT, 130, "loky"),
-        (signal.SIGTERM, 143, "sequential"),
+        pytest.param(signal.SIGTERM, 143, "sequential", marks=pytest.mark.full),
         pytest.param(signal.SIGKILL, -9, "loky", marks=pytest.mark.full),
     ],
 )

@@ -164,7 +164,10 @@ def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet, fate: 
     assert_frame_equal(plant.table("predictions").drop("run_id"), before, check_row_order=False)
 
 
-@pytest.mark.parametrize("loss", ["state.db gone", "state.db damaged", "table damaged"])
+@pytest.mark.parametrize(
+    "loss",
+    [pytest.param("state.db gone", marks=pytest.mark.full), "state.db damaged", "table damaged"],
+)
 def test_what_people_entered_outlives_the_state_file_or_the_table(
     plant: ScenarioFleet, loss: str
 ) -> None:

@@ -177,7 +177,14 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
+# The others are tried by `test_whose_output.py`.
+QUICK = ("oil", "end of night")
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.full) for name in SETTINGS],
+)
 def test_a_corrected_setting_redoes_what_it_can_and_names_the_others(
     fleet: ScenarioFleet, setting: str
 ) -> None:

@@ -101,7 +101,7 @@ class Reader(threading.Thread):
                     self.seen.setdefault(key, set()).add(said)
 
 
-@pytest.mark.parametrize("n_runs", [4, pytest.param(40, marks=pytest.mark.full)])
+@pytest.mark.parametrize("n_runs", [2, pytest.param(40, marks=pytest.mark.full)])
 def test_two_states_are_published_in_turn_under_the_eyes_of_readers(
     tiny_fleet: TinyFleet, tmp_path: Path, n_runs: int
 ) -> None:

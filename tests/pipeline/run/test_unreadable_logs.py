@@ -11,15 +11,11 @@ from typing import Any
 import pytest
 
 import pipeline.logs.files
-import pipeline.run.fleet
 import pipeline.run.motor_task
-from pipeline.config import load_fleet
 from pipeline.logs.finding import find_logs
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.run.fleet import RunRequest, run_fleet
-from tests.pipeline.misbehaviour import fit_with_pipes_as_files
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.workshop import DAY, QUICK, Workshop
+from tests.pipeline.workshop import DAY, Workshop
 
 
 def test_nights_without_a_log_between_two_with_one(workshop: Workshop) -> None:
@@ -158,29 +154,6 @@ def test_a_folder_that_is_not_mounted_heals_no_failure(workshop: Workshop) -> No
     workshop.logs.rename(workshop.logs.with_name("away"))
     assert workshop.run().n_standing == 1
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
-
-
-def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blocked = NIGHT + 2 * DAY
-    isolated = QUICK.replace("sequential", "loky") + "workers = 1\nanswer_s = 3.0\n"
-    workshop.configure(fleet=isolated, motors=("M1", "M2"))
-    for motor in ("M1", "M2"):
-        for night in (NIGHT, NIGHT + DAY):
-            workshop.log(night, motor=motor)
-    os.mkfifo(workshop.logs / f"{blocked}.parquet")
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", fit_with_pipes_as_files)
-    result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
-    m1, m2 = result.outcomes
-    assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
-    nights = workshop.rows("nights").filter(motor_id="M1")
-    assert nights["status"].to_list() == ["ok", "ok", "failed"]
-    (row,) = workshop.rows("log_files").filter(status="failed").to_dicts()
-    assert (row["night"], row["error_code"]) == (blocked, "log_no_answer")
-    assert row["message"] == (
-        f"{blocked}.parquet: did not answer within 3 s (night known by its name)"
-    )
 
 
 def test_what_does_not_answer_is_not_looked_at(
