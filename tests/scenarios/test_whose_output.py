@@ -178,7 +178,7 @@ def test_a_change_that_waits_for_a_receiver_is_sent_once_under_the_new_name(
 def test_a_plant_without_a_new_night_is_stale_by_the_clock(tmp_path: Path, live: bool) -> None:
     """Logs of weeks ago; a fleet of a past time is exempt by its config."""
     first = dt.datetime.now(dt.UTC).date() - 30 * DAY
-    fleet = make_fleet(tmp_path, nights=12, minutes=30.0, first_night=first)
+    fleet = make_fleet(tmp_path, nights=9, minutes=30.0, first_night=first)
     if live:
         fleet.change("fleet.toml", "live = false\n", "")
     assert fleet.run("fit-fleet").code == 0

@@ -28,7 +28,11 @@ Fault = Literal["killed", "refused", "full"]
 FAULTS: dict[Fault, tuple[int, int, int]] = {
     "killed": (1, 0, 0), "refused": (0, errno.EIO, 0), "full": (0, errno.ENOSPC, 1)
 }  # fmt: skip
-LOADED = ("pipeline.run.motor_task", "pipeline.trends.stage", "pipeline.intraday.check")
+# What works import only where they need it; their own modules are imported as they come.
+LOADED = (
+    *("pipeline.run.motor_task", "pipeline.run.fleet", "pipeline.run.publishing"),
+    *("pipeline.trends.stage", "pipeline.intraday.check", "pipeline.cli.intraday"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +93,12 @@ def main() -> None:
     for name in LOADED:
         importlib.import_module(name)
     for line in sys.stdin:
+        asked = json.loads(line)
+        importlib.import_module(asked[0].partition(":")[0])
         reading, writing = os.pipe()
         child = os.fork()
         if child == 0:
-            end = _ended(*json.loads(line))
+            end = _ended(*asked)
             os.write(writing, json.dumps(asdict(end)).encode())
             os._exit(0)
         os.close(writing)

@@ -138,13 +138,13 @@ def test_a_worker_that_joins_later_with_other_code_makes_nothing(tmp_path: Path)
     assert (outcome.code, staged) == ("scheduler_unfit", {})
 
 
-def test_workers_with_two_threads_or_without_the_logs_are_refused(tmp_path: Path) -> None:
-    with scheduler_with(1) as processes:
-        error = code_of(processes.execution(), tmp_path / "nowhere")
-        assert error.code == "scheduler_unfit"
-        assert f"there is no folder {tmp_path / 'nowhere'} there" in error.message
-        processes.add_worker("--nthreads", "2")
-        processes.wait_for(2)
-        error = code_of(processes.execution(), tmp_path)
+def test_workers_without_the_logs_or_with_two_threads_are_refused(
+    two_workers: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    error = code_of(two_workers.execution(), tmp_path / "nowhere")
+    assert error.code == "scheduler_unfit"
+    assert f"there is no folder {tmp_path / 'nowhere'} there" in error.message
+    monkeypatch.setattr("distributed.Client.nthreads", lambda _: {"tcp://a": 2})
+    error = code_of(two_workers.execution(), tmp_path)
     assert error.code == "scheduler_unfit"
     assert "it has 2 threads" in error.message
