@@ -146,7 +146,7 @@ class _Rows:
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
         self.units_left = 0  # lines of units that are still to come
-        self.torn = self.rows = self.ragged = self.headers_again = 0
+        self.torn = self.rows = self.ragged = 0
         self.first_ragged = ""
 
     def go_on(self, names: tuple[str, ...]) -> None:
@@ -190,21 +190,17 @@ class _Rows:
     def _read_rows(self, data: bytes, start: int) -> None:
         types = self._types()
         texts = dict.fromkeys(types, pa.string())
-        try:
+        outcome = None
+        with suppress(pa.ArrowInvalid):
             outcome = self._parsed(types, data, start)
-        except pa.ArrowInvalid:
-            outcome = None
         # A header would be no number, and is no other text than any.
         if outcome is None or outcome[1].count or types == texts:
-            rows = self._without_headers(data, start)
-            if outcome is None or rows is not data:
-                data = rows
-                try:
-                    outcome = self._parsed(texts, data, start)
-                except pa.ArrowInvalid as error:
-                    how = f"the rows are ambiguous: {error}"
-                    raise LogError("log_damaged", self.path, how) from error
-        table, ragged = outcome
+            self._require_no_other_header(data, start)
+        try:
+            table, ragged = outcome or self._parsed(texts, data, start)
+        except pa.ArrowInvalid as error:
+            how = f"the rows are ambiguous: {error}"
+            raise LogError("log_damaged", self.path, how) from error
         if ragged.swallowed:
             raise LogError("log_damaged", self.path, f"{_OPEN_QUOTE}: {ragged.swallowed!r}")
         self.ragged += ragged.count
@@ -248,33 +244,24 @@ class _Rows:
         types |= dict.fromkeys(self.columns.time, pa.string() if logs.date_column else time)
         return {str(at): types[name] for name, at in self.position.items()}
 
-    def _without_headers(self, data: bytes, start: int) -> bytes:
-        """The rows, with blank lines for the header where it comes again; another is refused."""
-        needle = self.columns.time[0].encode()
-        if data.find(needle, start) < 0:
-            return data
-        lines, before = data[start:].splitlines(keepends=True), self.headers_again
-        for i, line in enumerate(lines):
-            is_header = needle in line and self._is_header(line)
-            if is_header:
-                self.headers_again += 1
-                self.units_left = self.logs.unit_rows
-            if is_header or self.units_left:
-                self.units_left -= not is_header and bool(line.strip())
-                lines[i] = line[len(line.rstrip(b"\r\n")) :]
-        return data[:start] + b"".join(lines) if self.headers_again > before else data
+    def _require_no_other_header(self, data: bytes, start: int) -> None:
+        """Refuse a header with other columns: read on by position, they would be taken for these.
 
-    def _is_header(self, line: bytes) -> bool:
-        try:
-            cells = _cells(self.path, self.logs, line)
-        except LogError:
-            return False
+        The same header again is a row without a time.
+        """
         time = self.columns.time[0]
-        here = cells[self.position[time]] if self.position[time] < len(cells) else None
-        if cells != self.names and time in cells and here in self.names:
-            how = "another header, with other columns than the first: split the log before "
-            raise LogError("log_not_csv", self.path, how + repr(line.decode()[:_SHOWN].strip()))
-        return cells == self.names
+        if data.find(time.encode(), start) < 0:
+            return
+        for line in data[start:].splitlines():
+            cells: tuple[str, ...] = ()
+            if time.encode() in line:
+                with suppress(LogError):
+                    cells = _cells(self.path, self.logs, line)
+            place = self.position[time]
+            here = cells[place] if place < len(cells) else None
+            if cells != self.names and time in cells and here in self.names:
+                how = "another header, with other columns than the first: split the log before "
+                raise LogError("log_not_csv", self.path, how + repr(line.decode()[:_SHOWN].strip()))
 
     def log(self) -> RawLog:
         """All that was read."""
@@ -284,7 +271,6 @@ class _Rows:
             {
                 "last row without a line end (it may be cut)": self.torn,
                 ragged: self.ragged,
-                "line equal to the header": self.headers_again,
             }
         )
 

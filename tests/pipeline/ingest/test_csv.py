@@ -115,7 +115,7 @@ READ: dict[str, Case] = {
     ),
     "a header again": (
         f"{HEAD}UTC,bar,rpm\n{ROWS}{HEAD}UTC,bar,rpm\n{ROWS}",
-        *({"unit_rows": 1}, [0, 1, 2, 3, 4] * 2, 0, ("1 line equal to the header",)),
+        *({"unit_rows": 1}, [0, 1, 2, 3, 4] * 2, 0, ("2 rows without a readable time",)),
     ),
     "an hour that never comes": (
         HEAD + "".join(f"2025-03-30 0{t},{t[-1]},1\n" for t in ("1:58", "1:59", "2:31", "3:00")),
@@ -353,7 +353,7 @@ def test_pieces_and_line_ends_do_not_show(
     in_pieces(monkeypatch, piece)
     log = read(tmp_path, text.replace("\n", line_end), source)
     assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0] * 6
-    assert log.notes == (TORN, "5 lines equal to the header")
+    assert log.notes == (TORN, "10 rows without a readable time")
 
 
 def test_the_span_of_a_long_file_needs_its_ends_only(tmp_path: Path) -> None:

@@ -197,7 +197,6 @@ def test_qualities_of_every_type(cells: pa.Array, good: Any, bad: list[bool]) ->
     "cells",
     [
         pa.array([[1]]),
-        pa.array([{"a": 1}]),
         pa.array([T0_US], pa.timestamp("us")),
         pa.array([b"Good"]),
         pa.array(np.arange(5000.0)),
