@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
 from leakage.watch import NightBlocks, Watch
 from pipeline.arrays import SECOND_US
@@ -32,9 +31,9 @@ from pipeline.night.fit_night import (
     require_parts,
 )
 from pipeline.night.sample_rows import block_rows
-from pipeline.night.statistics import BLOCK_COLUMNS, night_statistics, sensor_ratio
+from pipeline.night.statistics import BLOCK_COLUMNS, block_frame, night_statistics, sensor_ratio
 from pipeline.night.time_base import Insufficient
-from pipeline.schema import BLOCKS, staged_table
+from pipeline.schema import BLOCKS
 from pipeline.store.tables import read_rows
 from pipeline.trends.checkpoint import decoded, key_of
 from pipeline.trends.course import Course, watch_settings
@@ -133,10 +132,7 @@ def blocks_so_far(
     warm = _warm(begins, night.start_us)
     if np.count_nonzero(warm) < FEWEST_BLOCKS:
         raise Insufficient("", "the motor has not run for long enough yet")
-    stored = pl.from_arrow(
-        staged_table(BLOCKS, [row for row, is_warm in zip(rows, warm, strict=True) if is_warm])
-    )
-    assert isinstance(stored, pl.DataFrame)
+    stored = block_frame([row for row, is_warm in zip(rows, warm, strict=True) if is_warm])
     blocks = watch_columns.blocks(spec, stored)
     if blocks is None:
         raise Insufficient("", "the nights before are of another model")

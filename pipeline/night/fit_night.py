@@ -43,15 +43,15 @@ from pipeline.night.rows import (
 )
 from pipeline.night.sample_rows import block_rows, data_columns, prediction_rows, quality_rows
 from pipeline.night.statistics import (
-    BLOCK_COLUMNS,
     NightStatistics,
     StoredBlocks,
+    block_frame,
     night_statistics,
     sensor_ratio,
 )
 from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
 from pipeline.night.time_order import SharedStamps
-from pipeline.schema import BLOCKS, FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL, Row
+from pipeline.schema import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL, Row
 from pipeline.units import RUNNING_HOURS
 
 # Fewer blocks than these minutes fill tell nothing of the errors beyond a block.
@@ -108,7 +108,8 @@ def fit_night(
             rows["blocks"] = block_rows(spec, night.date, motor, statistics, ratio)
         with _timed(seconds, "fit_s"):
             _require_training(statistics)
-            blocks = StoredBlocks.of_newest_night(spec, rows["blocks"], statistics.factors)
+            blocks = StoredBlocks.of(spec, block_frame(rows["blocks"]), motor.columns)
+            assert blocks is not None
             statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, budget = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
@@ -301,9 +302,7 @@ def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
     """Fit a night that was just read for another scale of the rollers, where its rows suffice."""
     if outcome.status != OK:
         return outcome
-    blocks = pl.DataFrame(
-        outcome.rows["blocks"], {name: BLOCKS.schema[name] for name in BLOCK_COLUMNS}
-    )
+    blocks = block_frame(outcome.rows["blocks"])
     made = refit(spec, PublishedNight(outcome.night, outcome.rows, blocks))
     return outcome if made is None else replace(outcome, rows={**outcome.rows, **made.rows})
 

@@ -11,7 +11,7 @@ import datetime as dt
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -33,7 +33,7 @@ from pipeline.arrays import Array
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.night.time_base import VISCOSITIES, Insufficient, Samples
-from pipeline.schema import BLOCKS, INSUFFICIENT_DATA, staged_table
+from pipeline.schema import BLOCKS, INSUFFICIENT_DATA, Row, staged_table
 
 # Share of the kept samples that need a credible viscosity.
 LEAST_SHARE = 0.1
@@ -182,6 +182,13 @@ BLOCK_COLUMNS = (
 )
 
 
+def block_frame(rows: Sequence[Row]) -> pl.DataFrame:
+    """Return rows of `blocks` as they will be stored."""
+    blocks = pl.from_arrow(staged_table(BLOCKS, rows))
+    assert isinstance(blocks, pl.DataFrame)
+    return blocks
+
+
 @dataclass(frozen=True, slots=True)
 class StoredBlocks:
     """Blocks in order of time."""
@@ -201,21 +208,6 @@ class StoredBlocks:
         if rows.height:
             upper = rows["factor"].explode().to_numpy().reshape(rows.height, -1)
             factors[(slice(None), *np.triu_indices(size))] = upper
-        return cls._scaled(spec, rows, factors, columns)
-
-    @classmethod
-    def of_newest_night(
-        cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
-    ) -> StoredBlocks:
-        """Return blocks that are about to be stored."""
-        stored = pl.from_arrow(staged_table(BLOCKS, rows))
-        assert isinstance(stored, pl.DataFrame)
-        return cls._scaled(spec, stored, factors, rows[0]["factor_columns"])
-
-    @classmethod
-    def _scaled(
-        cls, spec: MotorSpec, rows: pl.DataFrame, factors: Array, columns: Sequence[str]
-    ) -> StoredBlocks:
         ratios = None
         if rows.height:
             by_sensor = rows["viscosity_ratio"].cast(pl.Float64).to_numpy()
