@@ -49,7 +49,7 @@ class MotorSpec:
             drain_delay_s = None
         settings = self.settings
         if drain_delay_s:
-            paired = stated.of_all_inputs(drain_delay_s)
+            paired = stated.model_copy(update={"fixed_s": drain_delay_s})
             settings = settings.model_copy(update={"transport_delay": paired})
         return replace(
             self, roller_is_free=roller_is_free, drain_delay_s=drain_delay_s, settings=settings

@@ -103,10 +103,6 @@ class TransportDelay(Section):
         """True if the motor's own nights decide."""
         return self.fixed_s is None and self.line_length_m is None
 
-    def of_all_inputs(self, delay_s: float) -> TransportDelay:
-        """Return the same with a delay of the drain flow against all inputs."""
-        return self.model_copy(update={"fixed_s": delay_s})
-
 
 class Smoothing(Section):
     """Moving average of the drain flow, and of its regressors with it (model.md, section 4)."""

@@ -262,7 +262,8 @@ def _units_among(rows: Iterable[Cells]) -> Cells:
 
 
 def _parquet(path: Path) -> Table:
-    columns = _parquet_columns(path)
+    leaves = next(_leaves(path, HEAD_ROWS))
+    columns = [column for leaf in leaves if (column := _column(*leaf)) is not None]
     with opened(path) as file:
         kinds = {field.name: field.type for field in file.schema_arrow}
     apart = {
@@ -283,11 +284,6 @@ def _parquet(path: Path) -> Table:
             yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
     return timed(Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
-
-
-def _parquet_columns(path: Path) -> list[Column]:
-    columns = (_column(*leaf) for leaf in next(_leaves(path, HEAD_ROWS)))
-    return [column for column in columns if column is not None]
 
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
