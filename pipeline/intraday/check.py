@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from leakage import LeakageError
 from leakage.watch.choices import INTRADAY_SHARE
 from leakage.watch.intraday import Rise, is_going_on, rise_of, rises_so_far, sudden_rise
-from leakage.watch.nights import Estimate
+from leakage.watch.nights import Estimate, NightBlocks
 from pipeline.clock import latest_us, microseconds
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of, own_version
@@ -21,7 +21,6 @@ from pipeline.config.nights import night_of
 from pipeline.errors import LogError, MotorLeakageError, StoreError
 from pipeline.intraday.night_so_far import (
     NightsBefore,
-    NightSoFar,
     blocks_so_far,
     nights_before,
     read_so_far,
@@ -105,8 +104,8 @@ def check_motor(
         before = nights_before(
             state.output, spec, decisions, read_checkpoint(state, motor_id), night.date
         )
-        so_far = blocks_so_far(spec, before.watch_columns, night, channels)
-        return judge(spec, before, so_far, last)
+        blocks, end_us = blocks_so_far(spec, before.watch_columns, night, channels)
+        return judge(spec, before, blocks, end_us, last)
     except (Insufficient, LeakageError, LogError) as why:
         reason = getattr(why, "reason", str(why))
         return MotorCheck(motor_id, NOT_JUDGED, reason)
@@ -118,16 +117,16 @@ def check_motor(
 
 
 def judge(
-    spec: MotorSpec, before: NightsBefore, so_far: NightSoFar, last: Row | None
+    spec: MotorSpec, before: NightsBefore, blocks: NightBlocks, end_us: int, last: Row | None
 ) -> MotorCheck:
     """Judge the night so far of a motor, whose last row of `intraday` may hold a rise."""
-    rises = rises_so_far(before.watch, so_far.blocks, before.merged)
+    rises = rises_so_far(before.watch, blocks, before.merged)
     latest = rises[0].change
     check = MotorCheck(
         spec.motor_id,
         CLEAR,
         f"drain flow {_in_words(latest)} against the nights before",
-        end_us=so_far.end_us,
+        end_us=end_us,
         latest=latest.value,
     )
     if last is not None and last["to_state"] in (RISEN, CONFIRMED):
@@ -138,7 +137,7 @@ def judge(
     rise = sudden_rise(rises)
     if rise is None:
         return check
-    changed = before.columns_changed(spec, so_far.blocks)
+    changed = before.columns_changed(spec, blocks)
     if changed is not None:
         return replace(check, state=NOT_JUDGED, reason=changed)
     reason = f"drain flow {_in_words(rise.change)} above the nights before"

@@ -51,15 +51,6 @@ WARM_UP_US = 20 * 60 * SECOND_US
 FEWEST_BLOCKS = 2
 
 
-@dataclass(frozen=True, slots=True)
-class NightSoFar:
-    """Blocks of a night, and its end [µs since 1970]."""
-
-    night: Night
-    blocks: NightBlocks
-    end_us: int
-
-
 def read_so_far(
     spec: MotorSpec, known: Mapping[str, FileRecord], latest_us: int
 ) -> tuple[Night, dict[str, RawChannel]]:
@@ -116,8 +107,8 @@ def _state(record: FileRecord) -> tuple[int, int]:
 
 def blocks_so_far(
     spec: MotorSpec, watch_columns: WatchColumns, night: Night, channels: dict[str, RawChannel]
-) -> NightSoFar:
-    """Return short blocks of a warm motor, by the night's own rules."""
+) -> tuple[NightBlocks, int]:
+    """Return short blocks of a warm motor, by the night's own rules, and their end [µs]."""
     samples, quality = clean_channels(spec.file, spec.settings, night, channels)
     require_enough(samples, quality)
     samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
@@ -136,7 +127,7 @@ def blocks_so_far(
     blocks = watch_columns.blocks(spec, stored)
     if blocks is None:
         raise Insufficient("", "the nights before are of another model")
-    return NightSoFar(night, watch_columns.night_blocks(blocks), statistics.blocks[-1].end_us)
+    return watch_columns.night_blocks(blocks), statistics.blocks[-1].end_us
 
 
 def _warm(begins_us: np.ndarray, night_start_us: int) -> np.ndarray:

@@ -250,41 +250,35 @@ def _require_training(statistics: NightStatistics) -> None:
         )
 
 
-REFITTED_TABLES = ("nights", "fits", "parameters")
-FROM_TABLES = (*REFITTED_TABLES, "error_budget")
+FROM_TABLES = ("nights", "fits", "parameters", "error_budget")
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedNight:
-    """Rows of a motor's night in the tables."""
-
-    label: dt.date  # the night
-    rows: Mapping[str, Sequence[Row]]  # by name, of `FROM_TABLES`
-    # Rows of `blocks` in order of time; None where there are none.
-    blocks: pl.DataFrame | None
-
-
-def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
-    """Fit a night anew; None where the published rows do not suffice: the log has to be read."""
+def refit(
+    spec: MotorSpec,
+    night: dt.date,
+    published: Mapping[str, Sequence[Row]],
+    stored: pl.DataFrame | None,
+) -> NightOutcome | None:
+    """Fit a night anew by its rows of `FROM_TABLES`; None where the log has to be read."""
     modes, primary = spec.file.flushing.modes, spec.file.flushing.mode
-    fits = {row["flushing_mode"]: row for row in night.rows["fits"]}
-    own = next(iter(night.rows["nights"]), {})
-    if set(fits) != set(modes) or own.get("status") != OK or night.blocks is None:
+    fits = {row["flushing_mode"]: row for row in published["fits"]}
+    own = next(iter(published["nights"]), {})
+    if set(fits) != set(modes) or own.get("status") != OK or stored is None:
         return None
-    motor = spec.stated.motor(night.label, primary)
-    blocks = StoredBlocks.of(spec, night.blocks, motor.columns)
+    motor = spec.stated.motor(night, primary)
+    blocks = StoredBlocks.of(spec, stored, motor.columns)
     if blocks is None:
         return None
     at, reference = conditions(spec, blocks), reference_columns(spec)
     is_elsewhere = any(row | reference != row for row in fits.values())
     rows: Rows = {"fits": [], "parameters": [], "error_budget": []}
     for mode in modes:
-        key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
-        budget = [row for row in night.rows["error_budget"] if row["flushing_mode"] == mode]
+        key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode}
+        budget = [row for row in published["error_budget"] if row["flushing_mode"] == mode]
         if is_elsewhere:
-            budget = _budget(spec, night.label, fits[mode], budget, at[0], blocks.charge_bar)
+            budget = _budget(spec, night, fits[mode], budget, at[0], blocks.charge_bar)
         try:
-            made = fit_stored_blocks(spec, night.label, mode, blocks, at, budget)
+            made = fit_stored_blocks(spec, night, mode, blocks, at, budget)
         except EstimationError:
             return None
         # What needs samples is as before.
@@ -295,7 +289,7 @@ def refit(spec: MotorSpec, night: PublishedNight) -> NightOutcome | None:
     if not is_elsewhere:
         del rows["error_budget"]
     rows["nights"] = [own | of_fit(rows["fits"])]
-    return NightOutcome(night.label, OK, None, None, rows, tables=tuple(rows))
+    return NightOutcome(night, OK, None, None, rows, tables=tuple(rows))
 
 
 def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
@@ -303,7 +297,7 @@ def refit_read(spec: MotorSpec, outcome: NightOutcome) -> NightOutcome:
     if outcome.status != OK:
         return outcome
     blocks = block_frame(outcome.rows["blocks"])
-    made = refit(spec, PublishedNight(outcome.night, outcome.rows, blocks))
+    made = refit(spec, outcome.night, outcome.rows, blocks)
     return outcome if made is None else replace(outcome, rows={**outcome.rows, **made.rows})
 
 

@@ -36,7 +36,6 @@ from pipeline.night.column_change import (
 from pipeline.night.fit_night import (
     FROM_TABLES,
     NightOutcome,
-    PublishedNight,
     fit_night,
     refit,
     refit_read,
@@ -183,7 +182,7 @@ class MotorRun(NightPlan):
         try:
             if step.work is Work.REFIT:
                 with self.timed("refit_s"):
-                    outcome = refit(self.fitted_spec, self.stored.night(label))
+                    outcome = refit(self.fitted_spec, label, *self.stored.night(label))
                 if outcome is not None:
                     return outcome
                 if label not in self.logs.present():
@@ -409,10 +408,10 @@ class _StoredNights:
         """Return rows of a night by table."""
         return {table.name: self._rows(table, label) for table in tables}
 
-    def night(self, label: dt.date) -> PublishedNight:
-        """Return rows of a night."""
+    def night(self, label: dt.date) -> tuple[dict[str, list[Row]], pl.DataFrame | None]:
+        """Return rows of a night that a fit anew needs, and its blocks."""
         rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
-        return PublishedNight(label, rows, self._of_night(BLOCKS, label))
+        return rows, self._of_night(BLOCKS, label)
 
     def _rows(self, table: Table, label: dt.date) -> list[Row]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""

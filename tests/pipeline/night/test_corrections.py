@@ -20,7 +20,7 @@ from leakage.physics.oil import (
 from pipeline.config import Channel, MotorSpec, TransportDelay
 from pipeline.config.motor_types import OilSample
 from pipeline.night import transport_delay
-from pipeline.night.fit_night import NightOutcome, PublishedNight, refit
+from pipeline.night.fit_night import NightOutcome, refit
 from pipeline.night.transport_delay import DELAYED, delay_inputs, delay_on_grid_s, shifted
 from pipeline.schema import BLOCKS, frame
 from tests.pipeline.night.noise_free import (
@@ -143,7 +143,7 @@ def test_with_an_analysis_the_loss_factors_are_the_true_ones_however_late(spec: 
     # Blocks are those of the data sheet, whatever was measured: no log is needed.
     assert after.rows["blocks"] == before.rows["blocks"]
     blocks = frame(BLOCKS, before.rows["blocks"])
-    anew = refit(with_sample(spec), PublishedNight(NIGHT, before.rows, blocks))
+    anew = refit(with_sample(spec), NIGHT, before.rows, blocks)
     for column in ("coefficients", "cost", "training_fit_percent"):
         assert anew.rows["fits"][0][column] == pytest.approx(row[column], rel=1e-9, abs=1e-12)
 

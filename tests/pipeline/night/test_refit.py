@@ -19,7 +19,7 @@ from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.config.motors import Event, MotorFile
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
-from pipeline.night.fit_night import NightOutcome, PublishedNight, refit, refit_read
+from pipeline.night.fit_night import NightOutcome, refit, refit_read
 from pipeline.run.night_plan import roller_decision
 from pipeline.schema import BLOCKS, NIGHT_TABLES, frame
 from pipeline.store.published import TABLE_OF
@@ -114,9 +114,9 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     """The ± from the sensors as well, which is that of the new conditions."""
     made = night(spec).rows
     moved = freed(with_settings(spec, "reference", pressure_bar=100.0))
-    anew = refit(moved, PublishedNight(NIGHT, made, frame(BLOCKS, made["blocks"])))
+    anew = refit(moved, NIGHT, made, frame(BLOCKS, made["blocks"]))
     # Without stored blocks, as where they were pruned, the log has to be read.
-    assert refit(moved, PublishedNight(NIGHT, made, None)) is None
+    assert refit(moved, NIGHT, made, None) is None
     read = night(moved)
     for name in ("fitted_leakage_sensor_l_per_min", "fitted_leakage_l_per_min"):
         assert anew.rows["fits"][0][name] == pytest.approx(read.rows["fits"][0][name], rel=0.02)
