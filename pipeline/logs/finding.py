@@ -49,8 +49,10 @@ COPIES = 3
 GLOB_CHARACTERS = frozenset("*?[")
 
 
-def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
-    """Return a motor's log files by path below the log root, and those that are named but absent.
+def find_logs(
+    spec: MotorSpec, silent: Collection[str] = ()
+) -> tuple[dict[str, Path], list[str], list[str]]:
+    """Return a motor's log files by path below the log root, absent names, and unmatched globs.
 
     The `silent` files and patterns did not answer, and are not looked at. A pattern whose folder
     may not be entered stands among the files: as a log that cannot be read.
@@ -59,6 +61,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
     paths: set[Path] = set()
     refused: set[Path] = set()
     absent: list[str] = []
+    unmatched: list[str] = []
     for pattern in spec.file.logs.files:
         named, is_glob = root / pattern, bool(GLOB_CHARACTERS & set(pattern))
         if pattern in silent:
@@ -70,10 +73,9 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
                 if named.exists():
                     paths.add(named)
                 elif is_glob:
-                    for path, is_file in _matching(root, pattern):
-                        still_alive()
-                        if is_file or not _is_folder(path, root, silent):
-                            paths.add(path)
+                    matches = set(_matching_files(root, pattern, silent))
+                    paths |= matches
+                    unmatched += [] if matches else [pattern]
                 else:
                     absent.append(pattern)
         except PermissionError:
@@ -84,7 +86,14 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
         while name in names:  # Another file's name is what this is shown as.
             name += "'"
         names[name] = path
-    return names, absent
+    return names, absent, unmatched
+
+
+def _matching_files(root: Path, pattern: str, silent: Collection[str]) -> Iterator[Path]:
+    for path, is_file in _matching(root, pattern):
+        still_alive()
+        if is_file or not _is_folder(path, root, silent):
+            yield path
 
 
 def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
@@ -133,17 +142,6 @@ def require_answer(name: str, path: Path) -> None:
         if path.is_file():
             with path.open("rb", buffering=0) as log:
                 log.read(1)
-
-
-def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
-    """Return messages about globs that match no file."""
-    return tuple(
-        f"no file matches {pattern} below {root}"
-        for pattern in patterns
-        if GLOB_CHARACTERS & set(pattern)
-        and not (root / pattern).exists()
-        and not any(is_file or not path.is_dir() for path, is_file in _matching(root, pattern))
-    )
 
 
 def suffix_of(path: Path) -> str:
@@ -252,7 +250,7 @@ class FolderLogs:
     ) -> None:
         self._spec = spec
         self._latest_us = latest_us
-        self._paths, self.absent = find_logs(spec, silent)
+        self._paths, self.absent, self._unmatched = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
     def stat_log(self, name: str, before: FileRecord | None) -> FileRecord:
@@ -284,8 +282,8 @@ class FolderLogs:
 
     def unmatched(self) -> tuple[str, ...]:
         """Return messages about globs that match no log."""
-        patterns = [name for name in self._spec.file.logs.files if name not in self.names]
-        return without_match(self._spec.log_root, patterns)
+        place = self._spec.log_url or self._spec.log_root
+        return tuple(f"no file matches {pattern} below {place}" for pattern in self._unmatched)
 
 
 class StoredLogs(FolderLogs):
@@ -335,11 +333,6 @@ class StoredLogs(FolderLogs):
 
     def change_of(self, record: FileRecord) -> LogError | None:
         """None: a copy never changes, and what is put there meanwhile is news to the next run."""
-
-    def unmatched(self) -> tuple[str, ...]:
-        """As `FolderLogs`."""
-        url = self._spec.log_url
-        return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
 
 
 def _matching_objects(

@@ -360,7 +360,7 @@ def unchanged_motors(
 def _stat_logs(spec: MotorSpec) -> Mapping[str, FileRecord]:
     """Return the logs of a motor as they are, unopened; none where any is absent."""
     try:
-        paths, absent = find_logs(spec)
+        paths, absent, _ = find_logs(spec)
     except OSError:
         return {}
     return {} if absent else {name: stat_log(name, path) for name, path in paths.items()}

@@ -85,14 +85,14 @@ def test_globs_and_names(spec: MotorSpec, tmp_path: Path) -> None:
     for name in ("b.csv", "a.csv", "old/c.csv", "old/older/d.csv", "e.txt", "a[1].csv"):
         write(tmp_path / name, every_minute(n=1))
     patterns = ("[ab].csv", "old/c.csv", "old/**/d.csv", "e.txt", "a[1].csv")
-    found, absent = find_logs(with_files(spec, *patterns))
+    found, *missing = find_logs(with_files(spec, *patterns))
     assert list(found) == ["a.csv", "a[1].csv", "b.csv", "e.txt", "old/c.csv", "old/older/d.csv"]
     assert found["old/c.csv"] == tmp_path / "old" / "c.csv"
-    assert absent == []
+    assert missing == [[], []]
     # A glob without a match is no fault, and an absent name is.
     for root in (tmp_path, tmp_path / "nowhere"):
         motor = replace(with_files(spec, "*.mcap", "named.csv", "folder/*.csv"), log_root=root)
-        assert find_logs(motor) == ({}, ["named.csv"])
+        assert find_logs(motor) == ({}, ["named.csv"], ["*.mcap", "folder/*.csv"])
 
 
 @pytest.mark.parametrize("pattern", ["M1_*.csv", "*1_?.csv", "M[12]_a.csv", "*", "M1_a.csv*"])
@@ -105,7 +105,7 @@ def test_a_folder_of_many_motors_is_listed_once(
     listed, scandir = [], os.scandir
     monkeypatch.setattr(os, "scandir", lambda path: listed.append(path) or scandir(path))
     for _ in range(3):
-        found, _ = find_logs(with_files(spec, pattern))
+        found, *_ = find_logs(with_files(spec, pattern))
     assert listed == [tmp_path]
     monkeypatch.undo()
     assert set(found.values()) == set(tmp_path.glob(pattern))

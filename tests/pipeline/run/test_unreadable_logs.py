@@ -172,6 +172,6 @@ def test_what_does_not_answer_is_not_looked_at(
         return is_dir(path)
 
     monkeypatch.setattr(Path, "is_dir", looked)
-    found, absent = find_logs(spec, silent)
+    found, absent, _ = find_logs(spec, silent)
     assert list(found) == [f"M1/{NIGHT}.parquet", "M1/link.parquet", "M1/named"]
     assert absent == []
