@@ -48,7 +48,7 @@ def last_rows(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
 
 
 def open_rises(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
-    """Return the rows of rises that no night has settled, by motor; raises as `last_rows`."""
+    """Return the rows of rises that no night has settled, by motor."""
     last = last_rows(output, motor_ids)
     return {motor_id: row for motor_id, row in last.items() if row["to_state"] == RISEN}
 

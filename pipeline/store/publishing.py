@@ -173,20 +173,20 @@ class Publisher:
         rmtree(self.staging / folder, ignore_errors=True)
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
-        """Publish a table that is a single file, whatever is there; raises as `nights`."""
+        """Publish a table that is a single file, whatever is there."""
         path = whole_file(self.state.output, table)
         before = verify_file(self.state, name_of(self.state.output, path)).sha256
         self._publish([_new_file(path, rows, before)])
 
     def add(self, month: str, rows: Mapping[Table, Sequence[Mapping[str, Any]]]) -> None:
-        """Add rows to a month (YYYY-MM) of tables; those of the same key go; raises as `nights`."""
+        """Add rows to a month (YYYY-MM) of tables; those of the same key go."""
         self._publish(
             self._changed(table, month, partial(_with_rows, table, frame(table, some)))
             for table, some in rows.items()
         )
 
     def change(self, table: Table, label: str, change: Change) -> None:
-        """Change the rows of a table file, if any are others; raises as `nights`."""
+        """Change the rows of a table file, if any are others."""
         self._publish([self._changed(table, label, change)])
 
     def _with_staged(self, table: Table, label: str, staged: Mapping[str, Staged]) -> NewFile:

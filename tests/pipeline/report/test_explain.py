@@ -1,4 +1,4 @@
-"""`explain`: what is said of a good night, a failed one, and one that is not there."""
+"""What `explain`, `status` and `ack` say of good nights, failed ones, and states."""
 
 from __future__ import annotations
 
@@ -8,13 +8,21 @@ import re
 from pathlib import Path
 
 import pytest
+import typer
 
+from pipeline.cli.arguments import duration
 from pipeline.config import load_fleet
+from pipeline.errors import UsageError
 from pipeline.night.residuals import explain_warm_up
 from pipeline.report.explain import explain
+from pipeline.report.status import last_alarm
+from pipeline.report.words import STATES
+from pipeline.schema import ALARMS, frame
+from pipeline.trends.motor_states import ACTIONABLE, CHANGED, ORDER
 from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table, rows_with
 from tests.pipeline.run.demo_runs import run
+from tests.pipeline.written import write_nights
 
 FIRST = dt.date(2026, 1, 2)
 
@@ -59,3 +67,27 @@ def test_a_warm_up_is_seen_however_short_sessions_are(
             )
     seen = re.findall(r"(.)\d+ % of the flow in the first (\d+)", "".join(explain_warm_up(rows)))
     assert seen == ([] if cold is None else [("-", str(cold))])
+
+
+def test_a_silent_motor_is_acknowledged_and_not_inspected(tmp_path: Path) -> None:
+    nights = {"alarm": dt.date(2026, 1, 6), "stale": dt.date(2026, 1, 7)}
+    rows = [
+        {"id": state, "motor_id": "M1", "night": night, "from_state": "ok", "to_state": state}
+        | {"sentence": "it grew", "run_id": "r"}
+        for state, night in nights.items()
+    ]
+    write_nights(tmp_path, ALARMS, frame(ALARMS, rows))
+    assert last_alarm(tmp_path, "M1", "leakage", ACTIONABLE) == nights["stale"]
+    assert last_alarm(tmp_path, "M1", "leakage", CHANGED) == nights["alarm"]
+    with pytest.raises(UsageError, match="alarms so far: none"):
+        last_alarm(tmp_path, "M2", "leakage", ACTIONABLE)
+
+
+@pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])
+def test_a_duration_that_is_none(text: str) -> None:
+    with pytest.raises(typer.BadParameter):
+        duration(text)
+
+
+def test_every_state_has_a_meaning() -> None:
+    assert set(STATES) == set(ORDER)
