@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import weakref
 from bisect import bisect_left
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fnmatch import filter as fitting
@@ -150,14 +150,16 @@ def suffix_of(path: Path) -> str:
     return "".join(path.suffixes[-2:]) if packed else path.suffix
 
 
-def logs_below(folder: Path) -> Iterator[Path]:
-    """Yield files of a folder that are logs by their names."""
-    for place, _, names in os.walk(folder.resolve()):
+def logs_below(folder: Path, known: Collection[Path] = ()) -> Iterator[Path]:
+    """Yield files of a folder that are logs by their names, without those that are known."""
+    root = folder.resolve()
+    for place, _, names in os.walk(root):
         if Path(place).name == DELTA_LOG:
             continue
-        for path in (Path(place, name) for name in names):
-            if suffix_of(path).lower().startswith(SUFFIXES) and path.is_file():
-                yield from of_newest_version([path], folder.resolve())
+        paths = [path for name in names if (path := Path(place, name)) not in known]
+        logs = [path for path in paths if suffix_of(path).lower().startswith(SUFFIXES)]
+        live = of_newest_version(logs, root)
+        yield from (path for path in logs if path in live and path.is_file())
 
 
 def unclaimed(fleet: Fleet) -> tuple[str, ...]:
@@ -165,7 +167,7 @@ def unclaimed(fleet: Fleet) -> tuple[str, ...]:
     if fleet.log_url:
         return ()
     claimed = {path for spec in fleet.motors for path in find_logs(spec)[0].values()}
-    others = [path for path in logs_below(fleet.log_root) if path not in claimed]
+    others = list(logs_below(fleet.log_root, claimed))
     if not others:
         return ()
     # Links may lead to the same file.
@@ -193,17 +195,27 @@ def legible(text: str) -> str:
 
 def of_newest_version(paths: Iterable[Path], root: Path) -> set[Path]:
     """Return the paths without those that a Delta table at or above them has removed."""
-    return {path for path in paths if _is_live(path, root)}
+    folders: defaultdict[Path, list[Path]] = defaultdict(list)
+    for path in paths:
+        folders[path.parent].append(path)
+    live = set[Path]()
+    for folder, own in folders.items():
+        table = _table_above(folder, root)
+        if table is not None:
+            names = _live(table, (table / DELTA_LOG).stat().st_mtime_ns)
+            own = [path for path in own if path.relative_to(table).as_posix() in names]
+        live.update(own)
+    return live
 
 
-def _is_live(path: Path, root: Path) -> bool:
-    for folder in path.parents:
-        log = folder / DELTA_LOG
-        if log.is_dir():
-            return path.relative_to(folder).as_posix() in _live(folder, log.stat().st_mtime_ns)
-        if folder == root:
+def _table_above(folder: Path, root: Path) -> Path | None:
+    """Return the folder of the Delta table that a folder is or lies in; None: it is of none."""
+    for place in (folder, *folder.parents):
+        if (place / DELTA_LOG).is_dir():
+            return place
+        if place == root:
             break
-    return True
+    return None
 
 
 @lru_cache(maxsize=64)
