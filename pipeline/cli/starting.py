@@ -137,7 +137,7 @@ def init(
     if fleet is None:
         files = fleet_files(proposal, to, *machine, tuple(observed.values()), answers)
     else:
-        files = added_files(proposal, fleet, defaults, *machine)
+        files = added_files(proposal, fleet, defaults, *machine, answers)
     if write:
         types = {machine_of(motor, *machine, answers)[0] for motor in proposal.motors}
         write_fleet(files, to, shipped_configs(), *sorted(types))

@@ -133,7 +133,12 @@ def _is_said(value: Any, known: Any) -> bool:
 
 
 def added_files(
-    proposal: Proposal, fleet: Fleet, defaults: Document, motor_type: str, oil: str
+    proposal: Proposal,
+    fleet: Fleet,
+    defaults: Document,
+    motor_type: str,
+    oil: str,
+    answers: Mapping[str, str],
 ) -> dict[str, str]:
     """Texts of the files of motors that a fleet does not have, by path below its folder."""
     claimed = {
@@ -149,7 +154,7 @@ def added_files(
         flow = (keys["source"], keys.get("field", "value"), motor.logs.get("motor_name", ""))
         if any((path, *flow) in claimed for path in motor.files):
             continue
-        own = _document(motor, motor_type, oil)
+        own = _document(motor, *machine_of(motor, motor_type, oil, answers))
         text = _motor_text(motor, own, _flat(defaults))
         whole = completed(tomllib.loads(text), defaults, motor.motor_id)
         if motor.motor_id in ids or whole["logs"] != motor.logs:

@@ -244,19 +244,23 @@ def test_a_hostile_log_ends_in_bounded_time_and_memory(
     assert taken < MEMORY_BYTES
 
 
+@pytest.mark.parametrize(
+    ("place", "error"),
+    [("csv.read_lines", MemoryError()), ("parquet.pq.ParquetFile", pa.ArrowMemoryError("much"))],
+)
 def test_what_takes_more_memory_than_there_is_has_a_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, error: Exception
 ) -> None:
-    path = tmp_path / "log.csv"
-    path.write_bytes(f"time,n\n{STAMP},1\n".encode())
+    path, source = tmp_path / "log", CSV if "csv" in place else PARQUET
+    path.write_bytes(b"PAR1" + bytes(8) + b"PAR1")
 
-    def no_memory(*_: object) -> object:
-        raise MemoryError
+    def no_memory(*_: object, **__: object) -> object:
+        raise error
 
-    monkeypatch.setattr("pipeline.ingest.csv.read_lines", no_memory)
+    monkeypatch.setattr(f"pipeline.ingest.{place}", no_memory)
     for read in (read_log, time_span):
         with pytest.raises(LogError) as raised:
-            read(path, *CSV)
+            read(path, *source)
         assert raised.value.code == "log_too_large"
 
 
@@ -271,31 +275,3 @@ def test_messages_show_a_stranger_s_text_on_one_line_of_bounded_length(tmp_path:
     assert len(message) < 2 * LONGEST_MESSAGE
     again = pickle.loads(pickle.dumps(raised.value))  # noqa: S301 - our own
     assert (again.code, again.message) == (raised.value.code, message)
-
-
-def with_room(room_bytes: int, path: Path, source: Source) -> list[str]:
-    """Codes of the errors in which all reads end where so much memory is left."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    most = pages * resource.getpagesize() + room_bytes
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    found = []
-    for read, more in ((time_span, source), (sniff, ()), (read_log, source)):
-        with pytest.raises(LogError) as raised:
-            read(path, *more)
-        found.append(raised.value.code)
-    return found
-
-
-def test_a_page_of_parquet_that_unfolds_beyond_the_limit_of_the_process(tmp_path: Path) -> None:
-    path = tmp_path / "log"
-    rows = 300
-    stamps = pa.array([STAMP + " " * 10**6] * rows)
-    table = pa.table({"time": stamps, "n": np.ones(rows)})
-    pq.write_table(
-        table, path, compression="zstd", use_dictionary=False, data_page_size=2**30,
-        write_statistics=False,
-    )  # fmt: skip
-    assert path.stat().st_size < 2**16
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        codes = pool.submit(with_room, 2**28, path, PARQUET).result()
-    assert codes == ["log_too_large"] * 3

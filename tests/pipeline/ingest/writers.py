@@ -136,7 +136,6 @@ def write_long_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> Non
     path.write_text("time,channel,value\n" + "".join(lines), encoding="utf-8")
 
 
-BARE = {"enable_crcs": False, "index_types": IndexType.NONE, "use_statistics": False}
 PLAIN = {"compression": CompressionType.NONE}
 LONG = {"layout": "long", "time_format": "epoch_us"}
 SPLIT = parquet(use_dictionary=False, use_byte_stream_split=NAMES[:1])
@@ -149,5 +148,4 @@ NUMBERS_ONLY = (
     Format("parquet-split", "parquet", SPLIT),
     Format("mcap-protobuf", "mcap", write_mcap("protobuf", **PLAIN), wide=False, is_checked=True),
     Format("mcap-cdr", "mcap", write_mcap("cdr"), wide=False, is_checked=True),
-    Format("mcap-cdr-bare", "mcap", write_mcap("cdr", **PLAIN, **BARE), wide=False),
 )

@@ -63,11 +63,11 @@ def fates(outcome: Any) -> dict[str, int]:
     return {fate: n for fate, n in outcome.files.items() if n}
 
 
-@pytest.mark.parametrize("place", [HASH, SPAN, READ])
+@pytest.mark.parametrize("place", [SPAN, READ])
 def test_what_grows_waits_and_the_next_run_reads_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    """Wherever it is when another process writes on: looked at, hashed, or read."""
+    """Wherever it is when another process writes on: looked at, or read."""
     shop, undisturbed = (shop_of(tmp_path / name) for name in "ab")
     assert shop.run().nights == (NIGHT,)
     path = write(shop, NIGHT + DAY)

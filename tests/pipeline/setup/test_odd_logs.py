@@ -74,11 +74,10 @@ def test_check_and_init_of_any_log(
     assert "\tspeed\tspeed\t" in words_of(call("init", log))
 
 
-@pytest.mark.parametrize("kind", ["constant", "nan"])
-def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind: str) -> None:
+def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call) -> None:
     shop = Workshop.at(tmp_path)
     shop.take(motor_toml("M1", "MINI"))
-    write(shop, kind)
+    write(shop, "nan")
     for command in ("fit-fleet", "report"):
         words_of(call(command, shop.fleet))
     words_of(call("explain", shop.fleet, "M1", LABEL))

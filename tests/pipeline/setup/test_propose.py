@@ -440,12 +440,15 @@ def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:
     del files["motors/M2.toml"]
     own = ('unit = "rpm"', 'unit = "rpm"\nsensor_maximum = 99.0')
     files["fleet.toml"] = files["fleet.toml"].replace(*own)
-    write_fleet(files, to, shipped_configs(), "CB560")
+    write_fleet(files, to, shipped_configs(), "CB560", "CB1120")
     options = ["init", str(source), "--to", str(to), "--add", "--write"]
+    answers["M2.motor_type"] = "CB1120"
     options += [part for pair in answers.items() for part in ("--answer", "=".join(pair))]
     run = CliRunner().invoke
     assert run(app, options).exit_code == 0
-    speeds = [spec.file.channels["speed"] for spec in load_fleet(to / "fleet.toml").motors]
+    motors = load_fleet(to / "fleet.toml").motors
+    assert [spec.file.motor_type for spec in motors] == ["CB560", "CB1120"]
+    speeds = [spec.file.channels["speed"] for spec in motors]
     assert [speed.sensor_maximum for speed in speeds] == [99.0, 99.0]
     assert "has all of these motors" in run(app, options).stdout
     # Not where the defaults would change how its log is read.

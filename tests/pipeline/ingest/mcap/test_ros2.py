@@ -231,11 +231,6 @@ SERVICE = f"{'=' * 80}\nSRV: motor_msgs/srv/Measure_Event\nuint8 a\n---\nfloat64
         ("float64 value\nfloat32 value", "value", "log_damaged"),
         ("time at\nfloat64 value", "value", "log_encoding"),
         ("float64[300000] many\nfloat64 value", "value", "log_too_large"),
-        (
-            "Port[1000000000] many\nfloat64 value\n===\nMSG: motor_msgs/Port\nuint8[5] a",
-            "value",
-            "log_too_large",
-        ),
     ],
 )
 def test_definitions_and_fields_that_do_not_serve_are_refused(
