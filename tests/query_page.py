@@ -37,7 +37,7 @@ def questions() -> dict[int, tuple[str, tuple[str, ...]]]:
 
 def answer(query: str) -> pl.DataFrame:
     """Answer a query on the tables in `out/tables` of the folder in which we are."""
-    with duckdb.connect() as connection:
+    with duckdb.connect(config={"threads": 1}) as connection:
         connection.execute("SET file_search_path = 'out'")
         connection.execute(Path("out/views.sql").read_text("utf-8"))
         rows: pl.DataFrame = connection.sql(query).pl()

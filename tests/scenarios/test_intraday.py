@@ -84,11 +84,11 @@ def test_a_step_of_30_percent_is_reported_once_within_5_minutes_by_command_web_h
 
 @covers("look")
 def test_a_healthy_day_is_silent_and_a_stopped_log_is_not_judged(fleet: ScenarioFleet) -> None:
-    for minute in range(10, END, 3):
+    for minute in (10, 19, 28, 37):
         grow(fleet, minute, rise=0.0)
         done = fleet.run("look")
         said = "2 clear" if minute > 25 else "2 not judged"
-        assert minute in (22, 25) or f"2 motors checked: {said}" in done.out
+        assert f"2 motors checked: {said}" in done.out
     fleet.run("fit-fleet")
     assert "no new samples since the nightly run" in fleet.run("look").out
     assert states(fleet) == []

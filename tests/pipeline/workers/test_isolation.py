@@ -42,7 +42,7 @@ EXPECTED = {
     "segfault": ("worker_died", "SIGSEGV(-11)"),
 }
 # One of each kind that does not hang; the others in the full run.
-QUICK = [(("panic", "eat_with_polars", "segfault"), 2)]
+QUICK = [(("panic", "eat_with_polars"), 2)]
 ALL = [*(((name,), 2) for name in EXPECTED), (("kill",), 1), (("hang_in_c",), 1)]
 
 
@@ -129,7 +129,7 @@ with open_workers(Execution(workers=2)) as workers:
     ("number", "to_all"),
     [
         (signal.SIGKILL, False),
-        (signal.SIGINT, True),
+        pytest.param(signal.SIGINT, True, marks=pytest.mark.full),
         pytest.param(signal.SIGINT, False, marks=pytest.mark.full),
     ],
 )
