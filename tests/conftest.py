@@ -6,6 +6,7 @@ import fcntl
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,10 @@ from hypothesis import settings
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
 settings.register_profile("quick", deadline=None, max_examples=30)
+
+# Where the system has Python write no bytecode, each process would compile the program anew.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Sums as a run makes them: in threads, many small products wait for one another.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
