@@ -77,6 +77,8 @@ class MotorSpec:
 
     def measured_curve(self, night: dt.date) -> Walther | None:
         """Return Walther constants of a night's oil by its analyses; None: by the data sheet."""
+        if not self.file.oil_samples and not self.circuit_samples:
+            return None
         filled = self.file.filled_on(night)
         return measured_curve(self.samples_of(night), self.oil_on(night), filled, night)
 

@@ -99,7 +99,10 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
 
 def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
     """Return periods of a night that are chosen by hand."""
-    return spec.file.periods.within(night_labelled(night, spec.settings.nights))
+    periods = spec.file.periods
+    if not periods.training and not periods.validation:
+        return ChosenPeriods()
+    return periods.within(night_labelled(night, spec.settings.nights))
 
 
 @dataclass  # without slots: the settings are gathered once

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from pipeline.clock import utc
@@ -39,7 +40,8 @@ def date_in(name: str) -> dt.date | None:
     return None
 
 
-def dates_in(name: str) -> set[dt.date]:
+@lru_cache(maxsize=4096)
+def dates_in(name: str) -> frozenset[dt.date]:
     """Return the dates that a path may name, where day or month may come first both.
 
     Examples
@@ -57,7 +59,7 @@ def dates_in(name: str) -> set[dt.date]:
             for month, day in orders:
                 with suppress(ValueError):
                     dates.add(dt.date(year, month, day))
-    return dates
+    return frozenset(dates)
 
 
 def days_off(name: str, first_us: int, last_us: int) -> int | None:

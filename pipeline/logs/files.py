@@ -72,8 +72,14 @@ def stat_log(name: str, path: Path) -> FileRecord:
         state = path.stat()
     except OSError as error:
         return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
-    record = FileRecord(name, state.st_size, state.st_mtime_ns, None)
-    record = replace(record, inode=state.st_ino, changed_ns=state.st_ctime_ns)
+    record = FileRecord(
+        name,
+        state.st_size,
+        state.st_mtime_ns,
+        None,
+        inode=state.st_ino,
+        changed_ns=state.st_ctime_ns,
+    )
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")

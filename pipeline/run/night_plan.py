@@ -146,8 +146,9 @@ class NightPlan:
             return
         present = self.logs.present()
         for label, record in self.nights_before.items():
-            if record.status in WITH_SAMPLES and record.stays in ("", GONE):
-                self.records[label] = replace(record, stays="" if label in present else GONE)
+            stays = "" if label in present else GONE
+            if record.status in WITH_SAMPLES and {record.stays, stays} == {"", GONE}:
+                self.records[label] = replace(record, stays=stays)
 
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
