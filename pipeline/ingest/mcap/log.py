@@ -66,28 +66,17 @@ def _read(file: LogFile) -> RawLog:
 
 
 def _span(file: LogFile) -> tuple[int, int]:
-    """First and last time stamp of all messages, from the summary or else from the messages.
-
-    Where the stamps stand within the messages, only those of the wanted topics are looked at, and
-    the file is read.
-    """
-    path, logs = file.path, file.logs
-    if logs.stamp:
-        return span(path, _read(file).stamps())
-    statistics = read_summary(path).statistics
-    if statistics is not None and statistics.message_count and logs.time != "publish_time":
+    """Return first and last time stamp: of all messages by the summary, or else of those read."""
+    statistics, logs = read_summary(file.path).statistics, file.logs
+    if statistics and statistics.message_count and not logs.stamp and logs.time != "publish_time":
         log_times = np.array(
             [statistics.message_start_time, statistics.message_end_time], np.uint64
         )
         ends = placed(written_as_numbers(log_times, "epoch_ns"), "UTC")
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
-            return span(path, [ends.time_us])
-    pieces = read_messages(path)
-    times = np.concatenate([messages.times(_time_of_record(logs)) for messages in pieces])
-    all_stamps = placed(written_as_numbers(times, "epoch_ns"), "UTC")
-    (stamps,), _ = judged(path, [all_stamps], _time_name(logs), file.latest_us)
-    return span(path, [stamps.time_us[stamps.readable]])
+            return span(file.path, [ends.time_us])
+    return span(file.path, _read(file).stamps())
 
 
 READER = Reader(_read, _span)
@@ -199,9 +188,7 @@ class _Topic:
         qualities = {quality: decoded.qualities[path] for quality, path in self.qualities.items()}
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first
-        # Elsewhere, a schema has reported which fields there are.
-        if self.kind == _JSON:
-            self.unseen = [path for path in self.unseen if not _is_in(payloads, decoded, path)]
+        self.unseen = [path for path in self.unseen if not _has_any(decoded, path)]
 
     def require_all(self, last: Messages) -> None:
         """Refuse a topic that no channel has, and a field that no message has."""
@@ -209,9 +196,12 @@ class _Topic:
             topics = sorted({channel.topic for channel in last.channels.values()})[:_MOST_NAMES]
             how = f"no topic {self.name!r}; there are {', '.join(map(repr, topics))}"
             raise LogError("log_column_missing", self.path, how)
-        if self.kind == _JSON and self.unseen and self.first:
-            there = sorted({path_text(path) for path, _ in leaves(json_object(self.first) or {})})
-            raise no_field(self.path, self.name, self.unseen[0], there)
+        # Elsewhere, a schema has reported which fields there are.
+        first = json_object(self.first) if self.kind == _JSON else None
+        lost = [path for path in self.unseen if first is not None and not has(first, path)]
+        if lost:
+            there = sorted({path_text(path) for path, _ in leaves(first)})
+            raise no_field(self.path, self.name, lost[0], there)
 
     def raw_channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
         """Its channels at these stamps; the readings are given up."""
@@ -219,11 +209,9 @@ class _Topic:
         return self.rows.channels_at(dict.fromkeys(self.channels, (rows, stamps.time_us[rows])))
 
 
-def _is_in(payloads: Payloads, decoded: Decoded, path: FieldPath) -> bool:
-    """True if a message of JSON has a field, be it null."""
+def _has_any(decoded: Decoded, path: FieldPath) -> bool:
+    """True if a message has a value in a field."""
     field, quality = decoded.fields.get(path), decoded.qualities.get(path)
     if field is not None and (field.unparsed | ~field.missing).any():
         return True
-    if quality is not None and quality.null_count < len(quality):
-        return True
-    return any(has(json_object(payload) or {}, path) for payload in payloads.each())
+    return quality is not None and quality.null_count < len(quality)
