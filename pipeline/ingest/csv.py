@@ -29,7 +29,7 @@ from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.contract import LogFile, RawLog, Reader
-from pipeline.ingest.table import Columns, RawTable, wanted_columns
+from pipeline.ingest.table import Columns, RawTable, require_columns, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_CELLS = 2**14
@@ -106,7 +106,7 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
 
 
 def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
-    """Names of the first header of a file, and the bytes up to its end."""
+    """Return names of the header of a file, and the bytes up to the rows below its units."""
     lines = data[:_HEAD].splitlines(keepends=True)
     at = logs.skip_rows
     while at < len(lines) and not lines[at].strip():
@@ -122,7 +122,11 @@ def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
     if len(names) > MOST_CELLS:
         how = f"the header has {len(names)} cells, at most {MOST_CELLS} are read: check separator"
         raise LogError("log_not_csv", path, how)
-    return names, sum(map(len, lines[: at + 1]))
+    end, units_left = at + 1, logs.unit_rows
+    while units_left and end < len(lines):
+        units_left -= bool(lines[end].strip())
+        end += 1
+    return names, sum(map(len, lines[:end]))
 
 
 def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
@@ -145,22 +149,13 @@ class _Rows:
         self.table = RawTable(file, columns, partial(_stamps, file.logs), numbers)
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
-        self.units_left = 0  # lines of units that are still to come
         self.torn = self.rows = self.ragged = 0
         self.first_ragged = ""
 
     def go_on(self, names: tuple[str, ...]) -> None:
         """Read rows below a header of these names."""
-        for name in self.columns.all:
-            count = names.count(name)
-            if count > 1:
-                how = f"{count} columns are called {name!r}: rename one"
-                raise LogError("log_column_twice", self.path, how)
-            if not count:
-                there = ", ".join(repr(known[:40]) for known in names[:40])
-                hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
-                how = f"no column {name!r}; separated by {self.logs.separator!r} there are "
-                raise LogError("log_column_missing", self.path, how + there + hint)
+        parted = f"separated by {self.logs.separator!r} "
+        require_columns(self.path, names, self.columns.all, parted)
         self.position = {name: names.index(name) for name in self.columns.all}
         self.names = names
 
@@ -170,22 +165,11 @@ class _Rows:
         if not self.names:
             names, start = _header(self.path, self.logs, data)
             self.go_on(names)
-            self.units_left = self.logs.unit_rows
         if not data.endswith((b"\n", b"\r")):
             self.torn += bool(data)
             return
-        start = self._below_units(data, start)
         if start < len(data):
             self._read_rows(data, start)
-
-    def _below_units(self, data: bytes, start: int) -> int:
-        """Begin of the rows below the lines of units that are still to come."""
-        for line in data[start:].splitlines(keepends=True) if self.units_left else ():
-            self.units_left -= bool(line.strip())
-            start += len(line)
-            if not self.units_left:
-                break
-        return start
 
     def _read_rows(self, data: bytes, start: int) -> None:
         types = self._types()

@@ -21,7 +21,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.cells import is_number, is_text
 from pipeline.ingest.contract import LogFile, RawLog, Reader
-from pipeline.ingest.table import Columns, RawTable, wanted_columns
+from pipeline.ingest.table import Columns, RawTable, require_columns, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_ROWS = 2**27
@@ -61,7 +61,7 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
     table = RawTable(file, columns, partial(_stamps, file), lambda _, cells: readings_of(cells))
     with opened(path) as opened_file:
         kinds = kinds_of(opened_file)
-        _require_columns(path, kinds.names, columns.all)
+        require_columns(path, kinds.names, columns.all)
         for name in columns.numbers:
             kind = kinds.field(name).type
             if not (is_number(kind) or pa.types.is_null(kind)):
@@ -206,18 +206,6 @@ def kinds_of(file: pq.ParquetFile) -> pa.Schema:
 def text_paths(schema: pa.Schema) -> list[str]:
     """Return the columns of text."""
     return [field.name for field in schema if is_text(field.type)]
-
-
-def _require_columns(path: Path, names: Sequence[str], wanted: Sequence[str]) -> None:
-    """Refuse columns that are not there, or several times."""
-    for name in wanted:
-        count = names.count(name)
-        if count > 1:
-            how = f"{count} columns are called {name!r}: rename one"
-            raise LogError("log_column_twice", path, how)
-        if not count:
-            there = ", ".join(map(repr, names[:40]))
-            raise LogError("log_column_missing", path, f"no column {name!r}; there are {there}")
 
 
 def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -86,6 +87,22 @@ def _column_of(file: LogFile, channel: Channel) -> str:
         return channel.source
     own = channel.value_column if file.logs.layout == "file_per_channel" else ""
     return own or file.logs.value_column
+
+
+def require_columns(
+    path: Path, names: Sequence[str], wanted: Sequence[str], parted: str = ""
+) -> None:
+    """Refuse a table of which a wanted column is missing, or there several times."""
+    for name in wanted:
+        count = names.count(name)
+        if count > 1:
+            how = f"{count} columns are called {name!r}: rename one"
+            raise LogError("log_column_twice", path, how)
+        if not count:
+            there = ", ".join(repr(known[:40]) for known in names[:_MOST_NAMES])
+            hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
+            how = f"no column {name!r}; {parted}there are {there}{hint}"
+            raise LogError("log_column_missing", path, how)
 
 
 class RawTable:
