@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Iterator, Mapping
-from statistics import mean, stdev
+from statistics import fmean, stdev
 
 import numpy as np
 
@@ -114,8 +114,8 @@ def explain_warm_up(predictions: list[Row]) -> Iterator[str]:
             break
     else:
         return
-    flow = mean(row["measured_l_per_min"] for row in rows)
-    apart = mean(cold) - mean(means)
+    flow = fmean([row["measured_l_per_min"] for row in rows])
+    apart = fmean(cold) - fmean(means)
     if abs(apart) > max(COLD_SHARE * flow, COLD_SCATTERS * stdev(means)):
         yield (
             f"errors go with the time since the start: {100 * apart / flow:+.0f} % of the flow in "
@@ -136,4 +136,4 @@ def _cold_and_warm(rows: list[Row], length: dt.timedelta) -> tuple[list[float], 
         error = row["measured_l_per_min"] - row["predicted_l_per_min"]
         piece = start, (last - start) // PIECE
         (cold if last - start < length else warm.setdefault(piece, [])).append(error)
-    return cold, [mean(errors) for errors in warm.values()]
+    return cold, [fmean(errors) for errors in warm.values()]

@@ -103,8 +103,15 @@ def script_json(document: Mapping[str, Any]) -> str:
 
 
 def numbers(values: Array) -> list[float | None]:
-    """Numbers as JSON has them, with six digits; null where there is none."""
-    return [float(f"{value:.6g}") if math.isfinite(value) else None for value in values.tolist()]
+    """Return numbers as JSON has them, with six digits; null where there is none."""
+    known = np.where(np.isfinite(values), values, np.nan)
+    # Powers of ten from 1 on are exact, and so is what is divided by them.
+    digits = 5.0 - np.floor(np.log10(np.abs(known), where=known != 0.0, out=np.zeros(len(known))))
+    up, down = 10.0 ** np.maximum(digits, 0.0), 10.0 ** np.maximum(-digits, 0.0)
+    rounded = (np.round(known * up / down) / up * down).astype(object)
+    rounded[np.isnan(known)] = None
+    listed: list[float | None] = rounded.tolist()
+    return listed
 
 
 def safe(name: str) -> str:
