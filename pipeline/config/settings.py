@@ -215,10 +215,9 @@ class Execution(Section):
 
     workers: int = Field(2, ge=1, le=256)
     """Motors fitted at the same time."""
-    backend: Literal["loky", "sequential", "dask"] = "loky"
-    """Processes of this machine (`loky`), the run's own (`sequential`), or a cluster (`dask`)."""
-    scheduler: str = Field("", pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$")
-    """`dask`: address of the scheduler, such as tcp://10.0.0.5:8786."""
+    backend: str = Field("loky", pattern=r"^(loky|sequential|(tcp|tls)://[^/\s]+:[0-9]+)$")
+    """Processes of this machine (`loky`), the run's own (`sequential`), or the address of a Dask
+    scheduler, such as tcp://10.0.0.5:8786."""
     timeout_s: Positive = Field(600.0, le=604_800.0)
     """Longest time for a night of a motor."""
     answer_s: Positive = Field(60.0, le=604_800.0)
@@ -228,9 +227,10 @@ class Execution(Section):
     minimum_free_mib: NonNegative = 100.0
     """Free disk space that a run requires."""
 
-    def misfits(self) -> Iterator[Misfit]:
-        if self.backend == "dask" and not self.scheduler:
-            yield ("scheduler",), "is missing: the address of the Dask scheduler", None
+    @property
+    def is_cluster(self) -> bool:
+        """True if tasks run on a Dask cluster."""
+        return "://" in self.backend
 
 
 class Metrics(Section):

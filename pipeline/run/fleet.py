@@ -331,7 +331,7 @@ def unchanged_motors(
     A thread asks the logs for size and time, as their folders may be on a mount that hangs; what it
     does not tell in time is left to the motors' tasks.
     """
-    if execution.backend == "dask":  # the logs may be seen by its workers alone
+    if execution.is_cluster:  # the logs may be seen by its workers alone
         return
     asked = [task for task in tasks if not (task.redo or task.retry or task.spec.log_url)]
     answers: SimpleQueue[Mapping[str, FileRecord]] = SimpleQueue()

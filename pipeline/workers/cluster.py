@@ -61,13 +61,13 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
     except ImportError as error:
         raise EngineError(
             "dask_missing",
-            f'execution.backend = "dask" needs the extra `dask` ({error}): '
+            f"execution.backend is a Dask scheduler, which needs the extra `dask` ({error}): "
             "pip install 'motor-leakage[dask]'",
         ) from error
     logging.getLogger("distributed").setLevel(logging.WARNING)
     # Versions that differ are an error of ours, said below.
     warnings.simplefilter("ignore", VersionMismatchWarning)
-    where, wait_s, expected = execution.scheduler, WAIT_S, own_versions()
+    where, wait_s, expected = execution.backend, WAIT_S, own_versions()
     with ExitStack() as stack:
         try:
             client = stack.enter_context(Client(where, timeout=wait_s, set_as_default=False))
@@ -76,7 +76,7 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
             raise EngineError(
                 "scheduler_unreachable",
                 f"no Dask scheduler with a worker answers at {where}: {error}; check "
-                "execution.scheduler, and that both run: dask worker ADDRESS --nthreads 1",
+                "execution.backend, and that both run: dask worker ADDRESS --nthreads 1",
             ) from error
         refusals = client.run(differences, expected, folders, on_error="return")
         threads = client.nthreads().items()

@@ -67,7 +67,7 @@ def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator
     if execution.backend == "sequential":
         # In the run's own process: a task that hangs or dies takes the run with it.
         yield Workers(lambda function, tasks: ((task, attempt(function, task)) for task in tasks))
-    elif execution.backend == "dask":
+    elif execution.is_cluster:
         from pipeline.workers.cluster import open_cluster
 
         with open_cluster(execution, folders) as tried:

@@ -58,7 +58,7 @@ class Processes:
             wait_until(lambda: len(client.run(os.getpid, on_error="ignore")) == n_workers)
 
     def execution(self, **changed: Any) -> Execution:
-        settings = {"backend": "dask", "scheduler": self.address}
+        settings = {"backend": self.address}
         return Execution.model_validate(settings | changed)
 
     def end(self) -> None:

@@ -22,7 +22,7 @@ EXTRAS = ("dask", "distributed", "obstore")
 
 
 def ask_for_dask() -> None:
-    with open_workers(Execution(backend="dask", scheduler="tcp://127.0.0.1:1")):
+    with open_workers(Execution(backend="tcp://127.0.0.1:1")):
         pass
 
 
