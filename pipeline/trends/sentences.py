@@ -76,7 +76,19 @@ def day(date: object) -> str:
 
 
 def limit_dates(row: Mapping[str, Any]) -> str:
-    """Return dates between which a row reaches its limit; empty without an earliest."""
+    """Return dates between which a row reaches its limit; empty without an earliest.
+
+    Examples
+    --------
+    >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
+    >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
+    'not before August 2027'
+    >>> limit_dates(row | {"days_to_limit_lower": 0.4, "days_to_limit_upper": None})
+    ''
+    >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
+    >>> limit_dates(row | {"days_to_limit_lower": 20.0})
+    'between 23 October 2026 and April 2027'
+    """
     if row["days_to_limit_status"] not in DATED:
         return ""
     earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
