@@ -30,13 +30,11 @@ FIRST = dt.date(2026, 3, 2)
 States = Mapping[str, str]
 HERE, BESIDE = Execution(backend="sequential"), Execution(backend="loky", workers=2)
 NIGHTS = tuple(FIRST + number * DAY for number in range(4))
-# A setting of each kind, and what must be made anew for it: all nights, or none.
+# A setting of each kind, and what must be made anew for it: all nights, or none. Of which kind
+# each setting is shows `test_hashes`.
 SETTINGS = {
-    "[cleaning]\nguard_after_s = 31.0\n": ("cleaning.guard_after_s", Work.READ),
     '[windows]\nsplit = "interleaved"\n': ("windows.split", Work.READ),
-    "[smoothing]\nwindow_s = 10.0\n": ("smoothing.window_s", Work.READ),
     "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),
-    "[trend]\nbaseline_nights = 40\n": ("trend.baseline_nights", None),
     "[alarms]\nalarm_percent = 25.0\n": ("alarms.alarm_percent", None),
 }
 
