@@ -197,9 +197,9 @@ class _Topic:
             how = f"no topic {self.name!r}; there are {', '.join(map(repr, topics))}"
             raise LogError("log_column_missing", self.path, how)
         # Elsewhere, a schema has reported which fields there are.
-        first = json_object(self.first) if self.kind == _JSON else None
-        lost = [path for path in self.unseen if first is not None and not has(first, path)]
-        if lost:
+        first = json_object(self.first) or {}
+        lost = [path for path in self.unseen if not has(first, path)]
+        if lost and self.first and self.kind == _JSON:
             there = sorted({path_text(path) for path, _ in leaves(first)})
             raise no_field(self.path, self.name, lost[0], there)
 
