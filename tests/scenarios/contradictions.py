@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 
-from tests.scenarios.published import Row
+from tests.scenarios.fleets import Row
 
 CHANGED = ("warning", "alarm", "common_cause")
 # Causes that are no change of the leakage which stays: a notice, or nights of no common size.

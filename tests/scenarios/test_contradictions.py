@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from tests.scenarios.contradictions import contradictions, of_fleet
-from tests.scenarios.fleets import ScenarioFleet
-from tests.scenarios.published import Row
+from tests.scenarios.fleets import Row, ScenarioFleet
 
 
 @pytest.mark.parametrize("name", ["demo", "shared_plant", "others"])

@@ -14,10 +14,9 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from tests.scenarios import published
 from tests.scenarios.command import ROOT
 from tests.scenarios.covering import covers
-from tests.scenarios.fleets import FIRST, ScenarioFleet, Simulated, make_fleet
+from tests.scenarios.fleets import FIRST, ScenarioFleet, Simulated, make_fleet, table
 
 OF_RUNS = ("run_id",)
 
@@ -50,9 +49,9 @@ def test_motors_and_nights_are_those_that_are_chosen(small: ScenarioFleet) -> No
     assert (motor["motor_id"], motor["nights"]) == ("B", {"ok": 2})
     assert (motor["files"]["read"], motor["files"]["left"]) == (2, 2)
     assert nights_of(small) == {}
-    rows = published.table(elsewhere, "nights").select("motor_id", "night").rows()
+    rows = table(elsewhere, "nights").select("motor_id", "night").rows()
     assert rows == [("B", small.label(2)), ("B", small.label(3))]
-    assert published.table(elsewhere, "runs")["workers"].to_list() == [1]
+    assert table(elsewhere, "runs")["workers"].to_list() == [1]
 
 
 @covers("fit-fleet --dry-run --redo")

@@ -27,8 +27,7 @@ from pipeline.demo import shipped_configs
 from tests.pipeline.simulated import Operation, operate
 from tests.scenarios.command import Result, run_command
 from tests.scenarios.covering import covers
-from tests.scenarios.fleets import SEQUENTIAL, Simulated, make_fleet
-from tests.scenarios.published import table
+from tests.scenarios.fleets import SEQUENTIAL, Simulated, make_fleet, table
 
 FIRST = dt.date(2026, 1, 2)
 NAMES = {

@@ -168,23 +168,14 @@ def test_an_alarm_that_corrected_logs_do_not_show_closes_as_recomputed(
     assert (row["id"], row["closed_as"]) == (closing["id"], "recomputed")
 
 
+# Others are tried in `test_whose_output.py`.
 SETTINGS = {
-    "oil": ("motors/M1.toml", 'oil = "vg68"', 'oil = "vg46"'),
     "type": ("motors/M1.toml", 'motor_type = "CB400"', 'motor_type = "CB560"'),
     "end of night": ("fleet.toml", "[execution]", "[nights]\nend_hour = 5\n[execution]"),
-    "zone": ("fleet.toml", "[execution]", '[nights]\ntime_zone = "Europe/Berlin"\n[execution]'),
-    "scale": ("motors/M1.toml", 'source = "leakage_flow"', 'source = "leakage_flow"\nscale = 1.1'),
 }
 
 
-# The others are tried by `test_whose_output.py`.
-QUICK = ("oil", "end of night")
-
-
-@pytest.mark.parametrize(
-    "setting",
-    [name if name in QUICK else pytest.param(name, marks=pytest.mark.full) for name in SETTINGS],
-)
+@pytest.mark.parametrize("setting", SETTINGS)
 def test_a_corrected_setting_redoes_what_it_can_and_names_the_others(
     fleet: ScenarioFleet, setting: str
 ) -> None:
