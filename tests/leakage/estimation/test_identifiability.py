@@ -295,7 +295,7 @@ def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
     conditions = OperatingConditions.from_bar(bar, wide.oil_temperature_c, wide.speed_rpm)
     _, found, _ = judged(None, conditions, noise=0.002)
     assert found.coefficients[0].verdict == "not_excited"
-    assert "one short stretch" in found.coefficients[0].reason
+    assert "a short stretch" in found.coefficients[0].reason
     assert found.coefficients[0].interval is None
 
 
