@@ -49,7 +49,10 @@ class CsvRequest:
 
 
 def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
-    """Return tables by their names; all of them where none is named."""
+    """Return tables by their names; all of them where none is named.
+
+    Raises UsageError (``unknown_table``) if there is no table of a name.
+    """
     known = {table.name: table for table in TABLES}
     strangers = [name for name in names if name not in known]
     if strangers:
@@ -65,6 +68,9 @@ def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tupl
 
     Null is an empty cell, an empty text a quoted one; times are ISO 8601 in UTC, lists JSON,
     numbers as short as they can be read back unchanged.
+
+    Raises UsageError (``no_tables``, ``csv_folder``) if there are none yet, or the folder is the
+    tables' own; StoreError if a table cannot be read or a file not be written.
     """
     tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):

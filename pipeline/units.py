@@ -114,7 +114,10 @@ def canonical_unit(channel: str) -> str:
 
 
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
-    """Return readings of a channel in its canonical unit; what is not finite stays as it is."""
+    """Return readings of a channel in its canonical unit; what is not finite stays as it is.
+
+    Raises as `conversion`.
+    """
     import numpy as np
 
     numerator, denominator, shift = UNITS[QUANTITIES[channel]][unit]

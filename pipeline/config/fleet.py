@@ -115,7 +115,10 @@ class Fleet:
     is_live: bool = True  # whether this machine's clock says how old the newest night is
 
     def known_motors(self, wanted: Iterable[str]) -> tuple[str, ...]:
-        """Return the ids that are asked for."""
+        """Return the ids that are asked for.
+
+        Raises UsageError (``unknown_motor``) if the fleet has no such motor.
+        """
         ids = tuple(wanted)
         known = sorted(spec.motor_id for spec in self.motors)
         if strangers := sorted({*ids}.difference(known)):
@@ -176,7 +179,10 @@ def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
 
 
 def absolute(folder: Path) -> Path:
-    """Return the absolute path of a folder, which need not be there."""
+    """Return the absolute path of a folder, which need not be there.
+
+    Raises ValueError if no folder can be there: its name is too long, say, or holds a null.
+    """
     try:
         folder = folder.resolve()
         with suppress(FileNotFoundError, NotADirectoryError):

@@ -49,6 +49,9 @@ def write_demo(
 
     ``demo/`` must be absent, empty, or an earlier demo, whose logs are replaced; `motors` are those
     that get logs, all if empty. The same seed makes the same files, whatever the number of workers.
+
+    Raises UsageError (``demo_configs``, ``demo_folder``) if the folder cannot be written or is not
+    ours; ConfigError if the fleet's config has faults.
     """
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
     demo = folder / "demo"

@@ -83,7 +83,10 @@ def raw_channel(
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel of readings as logged, with their `quality_states` if the log has them."""
+    """Channel of readings as logged, with their `quality_states` if the log has them.
+
+    Raises LogError: ``log_type``: the channel holds something, but not one number.
+    """
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
     is_marked = bad is not None and bool(bad[readings.unparsed].all())
@@ -216,6 +219,8 @@ def judged(
 
     The parts are judged together; `name` says what the stamps are called and how they were read.
     The future begins after `latest_us` [µs since 1970].
+
+    Raises LogError: ``log_time``: more than half of the rows have no good time.
     """
     rows = sum(part.readable.size for part in parts)
     ahead = sum(int(np.count_nonzero(part.time_us > latest_us)) for part in parts)

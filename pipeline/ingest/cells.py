@@ -48,6 +48,9 @@ def quality_states(
 
     Text is compared without regard to case and blanks around it, and as a number where both are
     numbers: 192, 192.0 and "192" are the same, and so are true and 1.
+
+    Raises LogError: ``log_type``: the column holds neither text nor numbers, or too many different
+    ones.
     """
     kind, is_a = cells.type, pa.types
     if not (is_text(kind) or is_number(kind) or is_a.is_boolean(kind) or is_a.is_null(kind)):

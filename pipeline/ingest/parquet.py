@@ -209,7 +209,10 @@ def text_paths(schema: pa.Schema) -> list[str]:
 
 
 def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
-    """A column without a dictionary."""
+    """A column without a dictionary.
+
+    Raises LogError: ``log_too_large``: its text is longer than any of a log.
+    """
     if not pa.types.is_dictionary(column.type):
         return column
     if is_text(column.type.value_type):

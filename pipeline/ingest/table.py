@@ -48,7 +48,10 @@ class Columns:
 
 
 def wanted_columns(file: LogFile) -> Columns:
-    """Columns that hold time and channels in the layout of a log."""
+    """Columns that hold time and channels in the layout of a log.
+
+    Raises LogError: ``log_column_missing``: the file's name is that of no channel.
+    """
     logs, channels = file.logs, _channels_of(file)
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
     qualities = dict.fromkeys(
@@ -166,7 +169,12 @@ class RawTable:
         return span(self.file.path, [stamps.time_us[stamps.readable]])
 
     def log(self, refused: Mapping[str, int]) -> RawLog:
-        """Return all rows as a log, with counts of those left out; the table is empty then."""
+        """Return all rows as a log, with counts of those left out; the table is empty then.
+
+        Raises LogError: ``log_type``; ``log_time`` where more than half of the rows have no time;
+        ``log_column_missing`` where a table has rows, and none of the motor, or if long none of
+        a wanted channel.
+        """
         file, logs = self.file, self.file.logs
         if not self._has_motor and self._seen:
             how = f"no row of motor {logs.motor_name!r} in column {logs.motor_column!r}; there are "

@@ -68,7 +68,10 @@ class MotorCheck:
 
 
 def check_fleet(fleet: Fleet, motors: Sequence[str] = ()) -> tuple[MotorCheck, ...]:
-    """Check the motors of a fleet once, all if none is named; a failure costs no other."""
+    """Check the motors of a fleet once, all if none is named; a failure costs no other.
+
+    Raises LockedError if another check is under way; StoreError if nothing can be published.
+    """
     receivers = receivers_of(fleet.settings.alarms)
     wanted = [motor for motor in fleet.motors if not motors or motor.motor_id in motors]
     with locked(fleet.output / "look"), open_state(fleet.output) as state, one_thread():
@@ -171,7 +174,10 @@ def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorChec
 
 
 def settle_rises(fleet: Fleet, state: StateDatabase, rises: Mapping[str, Row]) -> None:
-    """Let published nights confirm or withdraw reported rises, and deliver it."""
+    """Let published nights confirm or withdraw reported rises, and deliver it.
+
+    Raises LockedError while a check is under way; StoreError.
+    """
     specs = [motor for motor in fleet.motors if motor.motor_id in rises]
     decisions = decisions_of(specs, read_decisions(fleet.output))
     receivers = receivers_of(fleet.settings.alarms)

@@ -58,6 +58,8 @@ def read_so_far(
 
     `known` are the logs as the last nightly run read them; where none is new, there is no night so
     far.
+
+    Raises Insufficient if there are no new samples.
     """
     nights, faults = spec.settings.nights, list[str]()
     logs = list[RawLog]()
@@ -108,7 +110,10 @@ def _state(record: FileRecord) -> tuple[int, int]:
 def blocks_so_far(
     spec: MotorSpec, watch_columns: WatchColumns, night: Night, channels: dict[str, RawChannel]
 ) -> tuple[NightBlocks, int]:
-    """Return short blocks of a warm motor, by the night's own rules, and their end [µs]."""
+    """Return short blocks of a warm motor, by the night's own rules, and their end [µs].
+
+    Raises Insufficient or LeakageError where they say nothing.
+    """
     samples, quality = clean_channels(spec.file, spec.settings, night, channels)
     require_enough(samples, quality)
     samples = samples.only(samples.time_us <= samples.time_us[-1:] - SETTLE_US)
@@ -173,7 +178,10 @@ def nights_before(
     content: bytes | None,
     label: dt.date,
 ) -> NightsBefore:
-    """Return the watch before a night, by what the last nightly run left of it."""
+    """Return the watch before a night, by what the last nightly run left of it.
+
+    Raises Insufficient if there is none; StoreError if a published table is damaged.
+    """
     checkpoint, trends, last = decoded(content), trend_hash(spec, decisions), label - DAY
     if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")

@@ -117,7 +117,10 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """Return the record of a file that was read: its span, nights, and notes on skipped cells."""
+    """Return the record of a file that was read: its span, nights, and notes on skipped cells.
+
+    Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
+    """
     stamps, notes = log.stamps(), list(log.notes)
     notes += [
         f"{counted(part.unparsed, 'cell')} of {name} without a number"

@@ -285,7 +285,10 @@ class FolderLogs:
         return stat_log(name, self.path(name))
 
     def path(self, name: str) -> Path:
-        """Return a file with the content of a log; of a log that is gone, where it was."""
+        """Return a file with the content of a log; of a log that is gone, where it was.
+
+        Raises LogError: ``log_growing``: it is no more as it was when it was listed.
+        """
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:

@@ -278,6 +278,8 @@ def forget_nights(
 
     Nights with a fit are kept: their log may be gone. Those of `refit` may be fitted from their
     statistics. Returns, by motor, those of the nights with a fit.
+
+    Raises StoreError if the state cannot be written.
     """
     fitted: dict[str, set[dt.date]] = {}
     motor_ids = [motor_id for (motor_id,) in state.rows("SELECT motor_id FROM motors")]
@@ -298,7 +300,10 @@ def forget_nights(
 
 
 def content_hash(path: Path) -> str:
-    """Return SHA-256 of a file's content."""
+    """Return SHA-256 of a file's content.
+
+    Raises OSError if the file cannot be read.
+    """
     digest, piece = hashlib.sha256(), bytearray(PIECE_BYTES)
     with path.open("rb", buffering=0) as stream:
         while size := stream.readinto(piece):

@@ -112,7 +112,10 @@ class BlockFit:
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
 ) -> tuple[list[BlockFit], list[Row]]:
-    """Return a fit for each mode of flushing, the primary first, and rows of `error_budget`."""
+    """Return a fit for each mode of flushing, the primary first, and rows of `error_budget`.
+
+    Raises EstimationError if there are fewer samples than free coefficients.
+    """
     at = conditions(spec, blocks)
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
@@ -131,7 +134,11 @@ def fit_stored_blocks(
     at: tuple[OperatingConditions, OperatingConditions],
     budget: Sequence[Mapping[str, Any]],
 ) -> BlockFit:
-    """Fit a motor to blocks; `at` are its :func:`conditions`, `budget` rows of the mode."""
+    """Fit a motor to blocks; `at` are its :func:`conditions`, `budget` rows of the mode.
+
+    Raises EstimationError if there are fewer training samples than free
+    coefficients.
+    """
     motor = spec.stated.motor(night, mode)
     samples = blocks.sample_blocks()
     stated = fit_blocks(samples, motor)

@@ -158,7 +158,10 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 def clean_channels(
     file: MotorFile, settings: Settings, night: Night, channels: MutableMapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """Return the kept samples of a night, or of a part of it, and what each rule refused."""
+    """Return the kept samples of a night, or of a part of it, and what each rule refused.
+
+    Raises Insufficient if a channel has no samples, or all of them fewer than two.
+    """
     cleaning = settings.cleaning
     too_long = means_too_long(file.channels)
     if too_long is not None:

@@ -68,7 +68,10 @@ class NightStatistics(CompressedSamples):
 def night_statistics(
     spec: MotorSpec, motor: Motor, night: Night, samples: Samples, *, is_merged: bool = True
 ) -> NightStatistics:
-    """Return a night's regressors, smoothed if asked for, its blocks and their factors."""
+    """Return a night's regressors, smoothed if asked for, its blocks and their factors.
+
+    Raises ValidityError if the oil's viscosity is not known at a temperature.
+    """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
     unsmoothed = np.empty((len(samples.index), len(motor.columns)), order="F")
@@ -130,6 +133,8 @@ def sensor_ratio(oil: Oil, samples: Samples) -> SensorRatio | None:
 
     The change with temperature is that of least squares, drawn to 0 where temperatures hardly
     differ.
+
+    Raises Insufficient where the channel cannot tell it.
     """
     for name in VISCOSITIES:
         if name not in samples.viscosities:

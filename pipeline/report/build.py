@@ -156,6 +156,9 @@ def build_report(
     `nights`: newest nights that get a file of their own; None for all. `made`: time of making,
     which the fleet's page shows; None: it shows none. `config`: the fleet file in commands.
     `progress`: called with the nights that are done, and how many there are.
+
+    Raises StoreError if there are no tables, any is damaged or of a newer version of the program,
+    or the folder cannot be written or holds something else.
     """
     if not table_folder(fleet.output, NIGHTS).is_dir():
         raise StoreError(

@@ -57,7 +57,10 @@ LARGEST_EFFECTS = 5
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
-    """Explain a motor's night in words, line by line: the answer first, then what it rests on."""
+    """Explain a motor's night in words, line by line: the answer first, then what it rests on.
+
+    Raises UsageError if there is no row of that motor and night, StoreError if a table is damaged.
+    """
     rows = {
         table.name: read_rows(output, table, [motor_id], nights=[night])
         .filter(night=night)

@@ -95,7 +95,10 @@ def figure(chart: Chart) -> Payload:
 
 
 def script_json(document: Mapping[str, Any]) -> str:
-    r"""JSON that may stand inside a script, of a page or of a file of its own."""
+    r"""JSON that may stand inside a script, of a page or of a file of its own.
+
+    Raises ValueError if it holds NaN or infinity, which JSON has not.
+    """
     text = json.dumps(document, separators=(",", ":"), allow_nan=False)
     for character in HARMFUL:  # in turn: `translate` takes a hundred times as long
         text = text.replace(character, f"\\u{ord(character):04x}")

@@ -58,7 +58,10 @@ class FleetStatus:
 def fleet_status(
     output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = ()
 ) -> FleetStatus:
-    """The state of some motors, and undelivered changes by receiver."""
+    """The state of some motors, and undelivered changes by receiver.
+
+    Raises StoreError if a table is damaged.
+    """
     motors = current_states(output, motor_ids)
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
@@ -71,7 +74,10 @@ def fleet_status(
 
 
 def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
-    """States of some motors as the last run left them, with their intraday check."""
+    """States of some motors as the last run left them, with their intraday check.
+
+    Raises StoreError if a table is damaged.
+    """
     intraday = intraday_statuses(output, motor_ids)
     states = published_states(output, motor_ids)
     return [replace(state, intraday=intraday.get(state.motor_id)) for state in states]
@@ -135,7 +141,10 @@ def failed_nights(output: Path, motor_ids: Sequence[str]) -> dict[str, dict[dt.d
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:
-    """The night of the last alarm of an indicator in any of some states."""
+    """The night of the last alarm of an indicator in any of some states.
+
+    Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
+    """
     rows = read_rows(output, ALARMS, [motor_id], ("night", "cause", "to_state")).to_dicts()
     raised: list[tuple[str, dt.date]] = [
         (what_of(row), row["night"]) for row in rows if row["to_state"] in states

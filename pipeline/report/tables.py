@@ -25,7 +25,10 @@ def finite_rows(
     motor_ids: Sequence[str],
     nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table, NaN and infinity as null: no page can show them, and JSON has none."""
+    """Rows of a table, NaN and infinity as null: no page can show them, and JSON has none.
+
+    Raises StoreError if a file is damaged, or of a newer version of the program.
+    """
     rows = read_rows(output, table, motor_ids, nights=nights)
     floats = [name for name, kind in rows.schema.items() if kind == pl.Float64]
     return rows.with_columns(

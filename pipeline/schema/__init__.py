@@ -193,7 +193,10 @@ DECIDING_NIGHTS, AGREEING_S, LEAST_GAIN_PERCENT = 8, 0.5, 5.0
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
-    """Return rows as a frame with exactly the table's columns and types; absent values are null."""
+    """Return rows as a frame with exactly the table's columns and types; absent values are null.
+
+    Raises ValueError if a row has a column that the table has not: a figure would be lost silently.
+    """
     # Not by way of Arrow, which loads pandas, where it is installed, with its first array.
     return pl.DataFrame(
         _known(rows, table.name, table.schema), schema=table.schema, orient="row", strict=True
@@ -201,7 +204,11 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 
 
 def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
-    """The same in Arrow, without the run: many rows of many columns take a quarter of the time."""
+    """The same in Arrow, without the run: many rows of many columns take a quarter of the time.
+
+    Raises ValueError or TypeError for a column that the table has not, or a value that a column
+    cannot hold.
+    """
     schema = _staged_schema(table)
     every = pa.array(_known(rows, table.name, schema.names), pa.struct(schema))
     return pa.Table.from_struct_array(every)

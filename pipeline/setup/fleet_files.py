@@ -140,7 +140,10 @@ def added_files(
     oil: str,
     answers: Mapping[str, str],
 ) -> dict[str, str]:
-    """Texts of the files of motors that a fleet does not have, by path below its folder."""
+    """Texts of the files of motors that a fleet does not have, by path below its folder.
+
+    Raises UsageError (``defaults``) where the fleet's defaults would change what was proposed.
+    """
     claimed = {
         (path.resolve(), flow.source, flow.field, spec.file.logs.motor_name)
         for spec in fleet.motors

@@ -65,7 +65,10 @@ _STANDARD_UNITS = {("FluidPressure", "fluid_pressure"): "Pa", ("Temperature", "t
 
 
 def sniff(path: Path) -> Table:
-    """Tell the dialect and the columns of a log."""
+    """Tell the dialect and the columns of a log.
+
+    Raises LogError if the file cannot be read, or its lines are no table.
+    """
     with readable(path):
         with path.open("rb") as file:
             magic = file.read(8)
@@ -77,7 +80,10 @@ def sniff(path: Path) -> Table:
 
 
 def header_of(path: Path, logs: Logs) -> dict[str, str]:
-    """Return columns of a configured log, each with the unit in its header; none if no table."""
+    """Return columns of a configured log, each with the unit in its header; none if no table.
+
+    Raises LogError if the file cannot be read.
+    """
     if logs.layout != "wide" or logs.format not in ("csv", "parquet"):
         return {}
     with readable(path):

@@ -36,7 +36,10 @@ class Prepared:
     temporary: Path  # the file
 
     def land(self) -> None:
-        """Rename it to its place; its folder is still to be flushed."""
+        """Rename it to its place; its folder is still to be flushed.
+
+        Raises StoreError if that fails; the place then holds the old file, or already the new.
+        """
         with store_errors(self.path):
             try:
                 self.temporary.replace(self.path)
@@ -51,7 +54,10 @@ class Prepared:
 
 
 def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
-    """Write a temporary file in the folder of its place, and flush it; a failure leaves none."""
+    """Write a temporary file in the folder of its place, and flush it.
+
+    Raises StoreError if it cannot be written; nothing is left of it.
+    """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
     with store_errors(path):
         make_folders(path.parent)
@@ -74,6 +80,9 @@ def put(path: Path, write: Write, *, durable: bool = True) -> None:
 
     One that is not `durable` need not survive a power cut. If only the last flush, of its folder,
     fails, the new file may be there already.
+
+    Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
+    its folder, fails, the new file may be there already.
     """
     prepare(path, write, durable=durable).land()
     if durable:
@@ -135,7 +144,10 @@ def store_errors(path: Path, what: str = "written") -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for a run; the lock ends with the process, however that ends."""
+    """Hold a folder for a run; the lock ends with the process, however that ends.
+
+    Raises LockedError if another run holds it; StoreError if it cannot be locked.
+    """
     holder = (
         f"process {os.getpid()} on {socket.gethostname()} "
         f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"

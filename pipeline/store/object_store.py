@@ -67,7 +67,12 @@ class ObjectStore:
 
     @classmethod
     def at(cls, url: str) -> ObjectStore:
-        """Return the store at a URL; no request is sent yet."""
+        """Return the store at a URL; no request is sent yet.
+
+        Raises StoreError: ``object_store_missing``: the extra is not installed;
+        ``object_store_credentials``: the environment has none; ``object_store_http``: the server
+        has no encryption, and the environment does not allow that.
+        """
         scheme = url.partition("://")[0]
         try:
             from obstore.store import from_url
@@ -189,6 +194,8 @@ def copy_output(url: str, output: Path) -> None:
 
     The copy's own `manifest.json` is written last, so a copy that was broken off is completed by
     the next. The caller holds the folder's lock.
+
+    Raises StoreError if the store refuses a request, or a file is not what was published.
     """
     store = ObjectStore.at(url)
     with read_state_file(output) as state:

@@ -103,7 +103,10 @@ def accepted_digests(state: StateDatabase, name: str) -> frozenset[str]:
 
 
 def verify_file(state: StateDatabase, name: str) -> VerifiedFile:
-    """Read a file and compare it; with a fault twice, as a run may have published it in between."""
+    """Read a file and compare it; with a fault twice, as a run may have published it in between.
+
+    Raises StoreError (``store_newer``) for an unlisted file of a newer version of the program.
+    """
     file = _verify(state, name)
     return file if file.fault is None else _verify(state, name)
 
@@ -231,7 +234,11 @@ def old_files(
 
 
 def prune(state: StateDatabase, old: Sequence[OldFiles]) -> None:
-    """Remove such files; the caller holds the output's lock."""
+    """Remove such files; the caller holds the output's lock.
+
+    Raises StoreError if the state cannot be written or a file not be removed; pruning again does
+    the rest.
+    """
     names = [name for months in old for name in months.names]
     announce(state, dict.fromkeys(names))
     for name in names:

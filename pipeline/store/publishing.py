@@ -158,7 +158,10 @@ class Publisher:
         motor_ids: Collection[str],
         published: Callable[[], object] = lambda: None,
     ) -> None:
-        """Publish what motors have staged; `published` is called as the last files are noted."""
+        """Publish what motors have staged; `published` is called as the last files are noted.
+
+        Raises StoreError if a file cannot be written, or the present file is damaged.
+        """
         staged = staged_in(self.staging / folder, tables, motor_ids)
         months = sorted({label[:7] for _, label in staged})
         self._vacate(staged)
@@ -271,7 +274,10 @@ def _with_rows(
 
 
 def write_views(output: Path) -> None:
-    """Write `views.sql`, with paths relative to its folder."""
+    """Write `views.sql`, with paths relative to its folder.
+
+    Raises StoreError if it cannot be written.
+    """
     head = f"-- Views of all tables; made by each run. In this folder: duckdb -init {VIEWS}\n"
     tables = (_view(output, table) for table in TABLES)
     text = "\n".join([head, *tables, *_comments()]) + "\n"

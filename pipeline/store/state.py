@@ -106,7 +106,10 @@ class StateDatabase:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do changes whole, on the disk, or not at all; one within another is part of it."""
+        """Do changes whole, on the disk, or not at all; one within another is part of it.
+
+        Raises StoreError if they cannot be written.
+        """
         if self._connection.in_transaction:
             yield
             return
@@ -131,7 +134,11 @@ def _errors(code: str) -> Iterator[None]:
 
 @contextmanager
 def open_state(output: Path) -> Iterator[StateDatabase]:
-    """Open the state file for changes; it is made where there is none."""
+    """Open the state file for changes; it is made where there is none.
+
+    Raises StoreError: ``store_write``; ``store_newer``, ``store_older``: it is of another version
+    of the program.
+    """
     with store_errors(output):
         make_folders(output)
     with _errors("store_write"):
@@ -154,7 +161,10 @@ def open_state(output: Path) -> Iterator[StateDatabase]:
 
 @contextmanager
 def read_state_file(output: Path) -> Iterator[StateDatabase]:
-    """Open the state file for reading; an empty state where there is none."""
+    """Open the state file for reading; an empty state where there is none.
+
+    Raises StoreError as `open_state`.
+    """
     place = (output / STATE_FILE).resolve()
     with ExitStack() as stack:
         with _errors("store_read"):
@@ -203,7 +213,10 @@ def _version(state: StateDatabase) -> int:
 
 
 def make_ready(output: Path, newest_run: Mapping[str, Any] | None = None) -> None:
-    """Put aside a damaged or older state file, or an output of an earlier version."""
+    """Put aside a damaged or older state file, or an output of an earlier version.
+
+    Raises StoreError if a file cannot be moved, or is of a newer version of the program.
+    """
     version = _version_of(output / STATE_FILE)
     if version is None:
         _put_aside(output, STATE_FILES, f"{STATE_FILE} is damaged, and made anew from the tables")

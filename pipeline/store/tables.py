@@ -36,7 +36,10 @@ DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def existing_tables(output: Path) -> Path:
-    """Return folder of all tables."""
+    """Return folder of all tables.
+
+    Raises UsageError (``no_tables``) if there are none.
+    """
     tables = output / "tables"
     if not tables.is_dir():
         raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")

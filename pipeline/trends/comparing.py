@@ -30,6 +30,13 @@ def compare_nights(
     """Compare a motor's nights from a date on with those before, as plain data and in lines.
 
     At most so many on each side, none beyond another event.
+
+    Raises
+    ------
+    UsageError
+        If there are too few nights on a side.
+    StoreError
+        If a table file is damaged.
     """
     with read_state_file(output) as state:
         spec = as_published(spec, read_settings(state).get(spec.motor_id))

@@ -75,7 +75,10 @@ def read_decisions(output: Path) -> tuple[Decision, ...]:
 
 
 def restore_decisions(state: StateDatabase) -> None:
-    """Put back what the table has and a lost or older state file lacks."""
+    """Put back what the table has and a lost or older state file lacks.
+
+    Raises StoreError if the state cannot be read or written.
+    """
     path = whole_file(state.output, DECISIONS)
     try:
         rows = read_table(path, DECISIONS).drop("run_id").to_dicts() if path.exists() else []
@@ -90,7 +93,10 @@ def restore_decisions(state: StateDatabase) -> None:
 
 
 def publish_decisions(state: StateDatabase, run_id: str) -> None:
-    """Publish the table `decisions`, of what it has and what the state file has."""
+    """Publish the table `decisions`, of what it has and what the state file has.
+
+    Raises StoreError if it cannot be written.
+    """
     restore_decisions(state)
     rows = [asdict(decision) | {"run_id": run_id} for decision in _read(state)]
     table = frame(DECISIONS, rows).sort(DECISIONS.key)

@@ -93,7 +93,10 @@ def _time_of_record(logs: Logs) -> str:
 
 
 def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic."""
+    """Decoder of the messages of a topic.
+
+    Raises LogError: ``log_encoding``: messages in this encoding are not read; and as each decoder.
+    """
     match encoding, schema.encoding:
         case ["json", _]:
             return json_decoder(wanted)

@@ -232,6 +232,9 @@ def read_messages(path: Path) -> Iterator[Messages]:
     The last piece is empty and knows all channels, also those without a message. Checksums of
     chunks, data section and summary are checked where they are not zero, and the number of messages
     against what the summary says.
+
+    Raises LogError: ``log_not_mcap``, ``log_truncated``, ``log_damaged``, ``log_compression``,
+    ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
     declared, summary = Declared(), read_summary(path)

@@ -31,7 +31,11 @@ _BROKEN = "a message that is not as its descriptor says"
 
 
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic."""
+    """Decoder of the messages of a topic.
+
+    Raises LogError: ``log_extra_missing``; ``log_damaged`` for descriptors that are none;
+    ``log_column_missing`` for a field that is not in them.
+    """
     message_class, decode_error = _message_class(path, schema)
     descriptor = message_class.DESCRIPTOR
     values: dict[FieldPath, Value] = {}

@@ -61,7 +61,13 @@ MOST_READ = 2**18
 
 
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic."""
+    """Decoder of the messages of a topic.
+
+    Raises LogError: ``log_damaged`` for a definition that is none, ``log_encoding`` for a type that
+    is not read, ``log_column_missing`` or ``log_type`` for a field that is not in it or no number,
+    and ``log_too_large`` where messages have no end of numbers. The decoder raises ``log_encoding``
+    where no message is in plain CDR, and ``log_too_large``.
+    """
     paths = (*wanted.readings, *wanted.qualities)
     stamp = () if wanted.stamp is None else (wanted.stamp,)
     steps = [step for at in (*paths, *stamp) for step in at if isinstance(step, int)]
