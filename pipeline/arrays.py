@@ -41,7 +41,7 @@ def keep_extremes(columns: Sequence[ArrayLike], points: int) -> NDArray[np.int64
     At most `points`, the first and the last row among them. A line through them covers the pixels
     that a line through all rows would, as long as no bin is wider than a pixel. NaN is no value.
 
-    Raises ValueError if `points` does not suffice for the ends and one bin.
+    Raises ValueError if `points` does not suffice for the ends and a bin.
     """
     curves = [np.ascontiguousarray(column, dtype=np.float64) for column in columns]
     n, c = len(curves[0]), len(curves)

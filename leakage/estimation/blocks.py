@@ -40,7 +40,7 @@ from leakage.errors import StatisticsError
 def factor(z: Array) -> Array:
     """Return triangular factor of a block of samples, shape (c, c), its diagonal not negative.
 
-    `z` has the columns of n samples, shape (n, c): paths, one, known, measured. n may be 0.
+    `z` has the columns of n samples, shape (n, c): paths, 1, known, measured. n may be 0.
 
     Raises StatisticsError if `z` holds a value that is not finite.
 

@@ -56,7 +56,7 @@ WIDENING = 1.25
 # Largest variance of a slow error, over that of the means' errors under least squares: more
 # would throw away what the means say of the level, and doubled the error of the leakage.
 LARGEST_SLOW = 4.0
-# Neighbouring samples act at most as one in three, or nothing within a block could tell.
+# Neighbouring samples act at most as 1 in 3, or nothing within a block could tell.
 LEAST_WITHIN = 3.0
 # Fewer blocks tell nothing of a memory.
 LEAST_BLOCKS = 5

@@ -155,7 +155,7 @@ def read_samples(
         raise StatisticsError(
             "time_order",
             f"time {what} at row {row} ({len(falls)} such rows): sort the frame by time and keep"
-            " one row of each, or let pipeline.notebook.prepare do it",
+            " a row of each, or let pipeline.notebook.prepare do it",
         )
     made = FrameSamples(
         time_us,

@@ -40,7 +40,7 @@ class OperatingConditions:
         if len(shapes[0]) != 1 or len(set(shapes)) != 1:
             raise ShapeError(
                 "conditions_shape",
-                "the channels of operating conditions must be one-dimensional and of one length,"
+                "the channels of operating conditions must be one-dimensional and of equal length,"
                 f" not of shapes {shapes}",
             )
 

@@ -118,7 +118,7 @@ class Motor:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of the statistics: free paths, one, known, measured."""
+        """Names of the columns of the statistics: free paths, 1, known, measured."""
         return (*(path.name for path in self.column_paths), *FIXED_COLUMNS)
 
     def _fault(self, what: str) -> ParameterError:

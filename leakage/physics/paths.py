@@ -142,8 +142,8 @@ class Law(ABC):
     def coefficient(self, values: Values) -> Array:
         """Return lumped coefficient of all interfaces of the path, shape (…), [coefficient_unit].
 
-        `values` are those of `parameters` in their order and units, along the last axis; of one
-        parameter alone, the coefficient is its value.
+        `values` are those of `parameters` in their order and units, along the last axis; of a
+        single parameter the coefficient is its value.
         """
         value: Array = np.asarray(values, dtype=np.float64)[..., 0]
         return value

@@ -81,7 +81,7 @@ def init(
         bool, typer.Option("--add", help="Only motors that the fleet in FOLDER does not have.")
     ] = False,
 ) -> None:
-    """Propose the config of a fleet from a plant's logs, or of one log; asks what they do not say.
+    """Propose the config of a fleet from a plant's logs, or of a log; asks what they do not say.
 
     Example: motor-leakage init demo/logs --to my-fleet
 

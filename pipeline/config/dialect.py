@@ -29,7 +29,7 @@ def reader_entry(name: str) -> EntryPoint:
     entries = [entry for entry in installed() if entry.name == name]
     if not entries:
         names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
-        raise ValueError(f"expected one of the formats that are built in or installed: {names}")
+        raise ValueError(f"expected a format of those that are built in or installed: {names}")
     if len(entries) > 1:
         packages = " and ".join(sorted(map(reader_version, entries)))
         raise ValueError(f"expected a format of one package: {packages} both have a reader of it")

@@ -23,7 +23,7 @@ from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.section import Stage
 
-# Raise one when the code makes other samples of the same file; other statistics of the same
+# Raised when the code makes other samples of the same file; other statistics of the same
 # samples, so that old blocks never merge with new ones; other figures of the same statistics.
 READING_VERSION = 2
 STATISTICS_VERSION = 3

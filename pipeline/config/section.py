@@ -54,7 +54,7 @@ class Fault:
 
 
 class ConfigError(MotorLeakageError):
-    """Everything that is wrong in a fleet's config, in one error; exit code 2."""
+    """Everything that is wrong in a fleet's config, in a single error; exit code 2."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(dict.fromkeys(faults))

@@ -51,7 +51,7 @@ class DemoMotor:
     # Gap heights of this motor as built, relative to those of its type's config, by path, [-].
     gap_factors: Mapping[str, float]
     wear: Wear = NO_WEAR
-    # Lowest and highest level of the pressure difference, [bar]; the same twice: one pressure.
+    # Lowest and highest level of the pressure difference, [bar]; the same twice: constant.
     pressure_bar: tuple[float, float] = (15.0, 300.0)
     # pressure_drift_bar, pressure_ripple_bar: standard deviation of the slow and of the fast
     # variation around a level, [bar].

@@ -85,7 +85,7 @@ def raw_channel(
 ) -> RawChannel:
     """Channel of readings as logged, with their `quality_states` if the log has them.
 
-    Raises LogError: ``log_type``: the channel holds something, but not one number.
+    Raises LogError: ``log_type``: the channel holds something, but not a single number.
     """
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
@@ -236,7 +236,7 @@ def judged(
         (
             skipped,
             f", read as {name}, lie in an hour that does not exist in the zone, as its clocks go "
-            "forward: where the logger's clock does not, set time_zone to a fixed one such as "
+            "forward: where the logger's clock does not, set time_zone to a fixed zone such as "
             "Etc/GMT-1",
         ),
         (

@@ -275,7 +275,7 @@ def _opened(
 
 @contextmanager
 def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
-    """Any error of an installed reader as one of the log; a built-in's stay as they are.
+    """Any error of an installed reader as an error of the log; a built-in's stay as they are.
 
     What it prints is none of the program's output.
     """

@@ -288,7 +288,7 @@ class _Ragged:
 
 
 def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
-    """Time stamps of a column of time, or of a column of dates and one of times."""
+    """Time stamps of a column of time, or of a column of dates and another of times."""
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
     if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
         columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]

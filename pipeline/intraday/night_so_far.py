@@ -103,7 +103,7 @@ def _newest_logs(
 
 
 def _state(record: FileRecord) -> tuple[int, int]:
-    """Return what is another one where a log was written to."""
+    """Return what differs where a log was written to."""
     return record.size, record.modified_ns
 
 
@@ -148,7 +148,7 @@ class NightsBefore:
 
     watch: Watch
     watch_columns: WatchColumns
-    merged: int  # short blocks in one as the nights store it
+    merged: int  # short blocks in a longer as the nights store it
     usual: Mapping[str, float]  # as of `usual_readings`
 
     def columns_changed(self, spec: MotorSpec, blocks: NightBlocks) -> str | None:

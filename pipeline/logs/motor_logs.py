@@ -30,7 +30,7 @@ LOGS_IN_MEMORY = 2
 LONGEST_HOLE = dt.timedelta(days=366)
 # Of the hash of a content, so much tells it from a motor's others.
 HASH_LENGTH = 16
-# Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
+# Outcomes of a file in a run: left is left to another run, as a night of it was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
 
 

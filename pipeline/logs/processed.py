@@ -86,7 +86,7 @@ class FileRecord:
 class NightRecord:
     """Outcome of a night."""
 
-    status: str  # one of the five outcomes
+    status: str  # an outcome of the five
     # statistics_hash, figures_hash: hashes of the settings of its statistics, and of the figures
     # made from them; empty without any.
     statistics_hash: str = ""

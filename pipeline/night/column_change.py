@@ -1,4 +1,4 @@
-"""Columns that change places, or their unit, from one night on: reported as that, not as wear.
+"""Columns that change places, or their unit, from a night on: reported as that, not as wear.
 
 A reading of another unit is a factor between units off for a whole night, which a load, a speed or
 a temperature may be, too. It is another unit, of the night or of the others, where two of three
@@ -49,7 +49,7 @@ OF_ONE_UNIT = (DIFFERENCE, *PORT_PRESSURES, "oil_temperature", "speed", FLOW)
 # beyond which it is not, or is no wear of a night; a difference of two gauges of which one is in
 # another unit is further off than any load with the same flow.
 USUAL, NEAR, FAR, WORN, GAUGE_FAR = 1.3, 1.5, 2.0, 3.0, 10.0
-# A motor may run ten times as fast from one night on, or leak four times as much.
+# A motor may run ten times as fast from a night on, or leak four times as much.
 MAY_RISE, EXACT = ("speed", FLOW), 1.04
 # By how much a unit that few plants have is less likely, and the power of a factor off the model
 # (of 2 640 simulated changes 7 % blame the wrong nights; by nearness alone 19 %).

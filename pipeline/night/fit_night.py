@@ -68,7 +68,7 @@ class NightOutcome:
     """Outcome of a motor's night."""
 
     night: dt.date
-    # status, reason, error_code: one of the five outcomes, why in words, and the code of a failure.
+    # status, reason, error_code: an outcome of the five, why in words, and the code of a failure.
     status: str
     reason: str | None
     error_code: str | None

@@ -256,7 +256,7 @@ def _alike(
     resolution: float,
     looks: int,
 ) -> Mask:
-    """Return pairs of places from one to the other of which some samples lie on one step."""
+    """Return pairs of places from the first to the second of which some samples lie on one step."""
     shares = np.arange(looks)[:, None]
     looked_at = value[first + (last - first) * shares // (looks - 1)]
     alike = np.zeros(len(first), dtype=np.bool_)

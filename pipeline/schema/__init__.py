@@ -105,7 +105,7 @@ _COLUMNS = {
 
 
 def _table(name: str, row: str, copied: tuple[Column, ...] = ()) -> Table:
-    """Return the table of a name, of which one row is `row`; columns of another come first."""
+    """Return the table of a name, of which a row is `row`; columns of another come first."""
     key, columns = [], []
     for _, column, in_key, kind, unit, meaning, group in _COLUMNS[name]:
         columns.append(Column(column, TYPES[kind], unit, meaning, group))
@@ -159,7 +159,7 @@ NIGHT_TABLES = (
 )
 # The same, made from the tables above and the nights' own rows after all motors are done.
 TREND_TABLES = (NIGHTS, TRENDS, ALARMS)
-# One file a night, as many rows are rewritten; of all others but those below one file a month.
+# A file a night, as many rows are rewritten; of all others but those below one file a month.
 NIGHTLY_TABLES = (PREDICTIONS, BLOCKS, RESIDUAL_TESTS)
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)

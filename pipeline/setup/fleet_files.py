@@ -67,7 +67,7 @@ def fleet_files(
 ) -> dict[str, str]:
     """Texts of the fleet file and of each motor's, by path below the folder.
 
-    Of `answers`, ``MOTOR.motor_type`` and ``MOTOR.oil`` are for one motor.
+    Of `answers`, ``MOTOR.motor_type`` and ``MOTOR.oil`` are for that motor.
     """
     own = [
         _document(motor, *machine_of(motor, motor_type, oil, answers)) for motor in proposal.motors

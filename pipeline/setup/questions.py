@@ -246,7 +246,7 @@ class Chooser:
         return [number for number in numbers if number is not None]
 
     def _unit(self, channel: str, column: Column) -> str | None:
-        """The unit of a column; one answer is for columns called alike whose readings are alike."""
+        """The unit of a column; an answer is for columns called alike whose readings are alike."""
         unit = meaning_of(column.name, column.unit).unit
         if unit is not None and QUANTITY_OF.get(unit) == QUANTITIES[channel]:
             return unit

@@ -50,7 +50,7 @@ MOST_REFUSED = 0.5
 HOW_TO_MEND = {
     "duplicate_time": "do its stamps lack seconds, or fractions of them? Correct logs.time_format",
     "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
-    "out_of_range": "is its unit, or valid_range, another one?",
+    "out_of_range": "is its unit, or valid_range, another?",
     "bad_quality": "are other codes good? Correct quality_good",
     "not_finite": "correct the column, or logs.missing_tokens",
 }

@@ -277,7 +277,7 @@ def _parquet(path: Path) -> Table:
     }
     if apart and not any(column.kind in ("stamp", "typed") for column in columns):
         shown = ", ".join(f"{name} ({kind})" for name, kind in apart.items())
-        message = f"its time is apart, in {shown}: have one column of timestamps written"
+        message = f"its time is apart, in {shown}: have a single column of timestamps written"
         raise LogError("log_time", path, message)
     if not columns:
         raise LogError("log_empty", path, "the file has no columns that can be read")

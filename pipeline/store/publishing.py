@@ -2,7 +2,7 @@
 
 A task leaves its rows in a file: a line with an index, then an Arrow stream for each table file.
 Month by month the run writes new table files beside their places, notes them as coming, renames
-them, and notes them as published in one transaction with what the caller has to say of them.
+them, and notes them as published in a transaction with what the caller has to say of them.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def read_staged(
     table: Table, staged: Mapping[str, Staged], run_id: str
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Rows of motors for a table file, and the motors and nights of which they are all rows."""
-    # As one chunk: Polars takes chunks over singly.
+    # As a single chunk: Polars takes chunks over singly.
     rows = pl.from_arrow(pa.concat_tables(part.rows() for part in staged.values()).combine_chunks())
     assert isinstance(rows, pl.DataFrame)
     pa.default_memory_pool().release_unused()  # the motors' own copies

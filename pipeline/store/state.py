@@ -1,4 +1,4 @@
-"""The state of an output folder: one SQLite file, `state.db`, with all that is no analyst's table.
+"""The state of an output folder: a SQLite file, `state.db`, with all that is no analyst's table.
 
 The holder of the run's lock writes all but the decisions and what the intraday check delivers.
 Workers never open it: SQLite's log does not work across machines. It can be lost: the logs and

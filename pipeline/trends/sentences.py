@@ -130,7 +130,7 @@ def _no_part_is_named(night: NightState) -> bool:
 
 
 def advice(night: NightState, drifts: Sequence[str]) -> str:
-    """Return what to do in a night: one order, or what would identify the cause."""
+    """Return what to do in a night: its order, or what would identify the cause."""
     if night.way == "limit" and night.change is None:
         return _inspect("the motor", night.state)
     if night.state == "stale":

@@ -401,7 +401,7 @@ def _log_note(nights: PublishedNights, place: int, messages: Sequence[str], oil:
     before = hours[max(place - NIGHTS_COMPARED, 0) : place]
     before = np.sort(before[np.isfinite(before)])
     parts = [*messages, *filter(None, [oil])]
-    # Nights before that are short, too, one in five, are no measure.
+    # Nights before that are short, too, 1 in 5, are no measure.
     if len(before) >= FEWEST_COMPARED and hours[place] < SHORT * before[len(before) // 5]:
         usual = float(np.median(before))
         parts.insert(0, f"{hours[place]:.1f} h of log, {usual:.1f} h in the nights before")

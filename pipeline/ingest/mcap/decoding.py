@@ -68,7 +68,7 @@ class Payloads:
             yield bytes(text[start : start + length])
 
     def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
-        """Rows of messages of one length, the length, and their text: a byte and a payload each."""
+        """Rows of messages of equal length, that length, their text: a byte and a payload each."""
         if (self.length == self.length[0]).all():
             yield np.arange(self.length.size), int(self.length[0]), self.text.data
             return

@@ -1,7 +1,7 @@
 """JSON messages: many payloads are laid out as lines and parsed at once.
 
 Of messages that differ in a single number, only the number is parsed. What does not come out as an
-object a line, with a value of one type in each wanted field, is parsed message by message. Each way
+object a line, with values of a type in each wanted field, is parsed message by message. Each way
 gives what the `json` module gives, but for the sign of an integer -0 and integers of 4300 digits.
 """
 

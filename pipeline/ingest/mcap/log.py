@@ -164,7 +164,7 @@ class _Topic:
                 self.decode()
 
     def _set_kind(self, messages: Messages, channel: Channel) -> None:
-        """Know how its messages are read; several channels may have them, all of one kind."""
+        """Know how its messages are read; several channels may have them, all of the same kind."""
         schema, encoding = (
             messages.schemas.get(channel.schema_id, NO_SCHEMA),
             channel.message_encoding,
@@ -176,7 +176,7 @@ class _Topic:
             self.kind = kind
             self.decoder = decoder_of(self.path, self.name, encoding, schema, self.wanted)
         elif self.kind != kind:
-            how = f"messages of topic {self.name!r} are of two kinds: have one topic for each"
+            how = f"messages of topic {self.name!r} are of two kinds: have a topic for each"
             raise LogError("log_encoding", self.path, how, self.name)
 
     def decode(self) -> None:

@@ -445,7 +445,7 @@ def offsets_in_chunk(
     """Begins of the records of a chunk, and the end of the last of them.
 
     All but the first records may begin at the positions, which are in ascending order and believed
-    only where each step, taken from the chunk's begin, leads from one to the next.
+    only where each step, taken from the chunk's begin, leads from a record to the next.
     """
     if positions.size and positions[0] >= 0 and positions[-1] <= len(records) - PREFIX.size:
         # Schemas and channels have no index, and mostly stand before all messages.

@@ -57,7 +57,7 @@ _BROKEN = "a message that is cut or not in CDR"
 _MOST_LAYOUTS = 16
 
 MOST_READ = 2**18
-"""Numbers of a message; definitions of a few lines may have any number, one in another."""
+"""Numbers of a message; definitions of a few lines may have any number, nested."""
 
 
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
@@ -233,7 +233,7 @@ class _Layout:
             return [self._single(kind) for _ in range(count)]
         if not count:
             return []
-        # Bytes, such as those of a picture, count as one number.
+        # Bytes, such as those of a picture, count as a number.
         first = self._number(kind.type, count, 1 if kind.type in ("byte", "uint8") else count)
         shown = range(min(count, max(self.longest, ELEMENTS_SHOWN)))
         return [first._replace(at=first.at + i * first.size) for i in shown]
