@@ -49,6 +49,8 @@ def main(options: Sequence[str] = ()) -> None:
         if fnmatch(key, asked.only) and (cell.group != RIG or folder().exists())
         for number in range(min(asked.motors or cell.motors, cell.motors))
     ]
+    if not tasks and not fnmatch(LIMITS, asked.only):
+        parser.error(f"no cell has a name like {asked.only}; * stands for any words")
     run = joblib.Parallel(asked.jobs, return_as="generator")
     if fnmatch(LIMITS, asked.only) and not asked.trial:
         store(LIMITS, _limits(list(run(map(joblib.delayed(_highest), range(CALIBRATED_ON))))))
