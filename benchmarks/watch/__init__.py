@@ -25,12 +25,14 @@ from benchmarks.watch.rig import folder
 from benchmarks.watch.rivals import charts
 from benchmarks.watch.simulator import history
 from benchmarks.watch.tables import readme, tables
+from leakage.watch import WatchSettings
 from pipeline.arrays import Array
 from validation.tables import show
 
 LIMITS = "limits"
-# False alarms a motor-year, and motors, with which the limits of the rivals are calibrated.
-RATE, CALIBRATED_ON = 0.1, 100
+# False alarms a motor-year, the watch's own rate, and motors, by which the limits of the rivals are
+# calibrated.
+RATE, CALIBRATED_ON = WatchSettings().false_alarms_per_year, 100
 CALIBRATION = 2536
 
 
