@@ -27,7 +27,7 @@ from pipeline.ingest import csv as csv_log
 from pipeline.ingest import parquet
 from pipeline.ingest.mcap import messages as mcap_messages
 from tests.pipeline.cli.test_extras import stated
-from tests.pipeline.cli.test_reference import keys
+from tests.pipeline.cli.test_help import keys
 from tests.reference_pages import PAGES
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import guard
 from benchmarks.watch import stored
 from benchmarks.watch.cb560 import FITTED
 from benchmarks.watch.cells import NOTHING, RIG, cells, change
@@ -111,3 +113,26 @@ def test_a_chart_counts_in_the_scatter_of_its_baseline() -> None:
     assert chart(change, 3) == pytest.approx([-1.0, 0.0, 1.0, 4.0, 0.0])
     # A moving mean of weight w scatters by √(w / (2 − w)); 0.5: by 0.577.
     assert chart(change, 3, 0.5)[3:] == pytest.approx(np.array([2.0, 1.0]) * np.sqrt(3.0))
+
+
+# The guard against growing slow
+
+
+def test_twenty_percent_more_is_a_warning_and_twice_as_much_fails(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = {"a": 10.0, "b": 10.0, "c": 10.0}
+    assert guard.compare({"a": 11.9, "b": 12.1, "c": 4.0}, before) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["ok", "warning", "ok"]
+    assert guard.compare({"a": 10.0, "b": 20.1}, before) == 1
+    assert "FAILED  b: 20.10, +101 %" in capsys.readouterr().out
+    assert guard.compare({"new": 99.0}, {}) == 0  # compared with nothing
+    assert capsys.readouterr().out == "ok      new: 99.00, +0 %\n"
+
+
+@pytest.mark.full
+def test_it_measures_what_the_committed_results_name() -> None:
+    committed = json.loads(guard.COMMITTED.read_text("utf-8"))
+    assert all(ratio > 0 for ratio in committed.values())
+    assert guard.measured().keys() == committed.keys()

@@ -42,12 +42,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
-def break_log(fleet: Path, motor: str) -> Path:
-    path = max((fleet.parent.parent / "demo" / "logs" / motor).iterdir())
-    path.write_bytes(b"nonsense" * 1000)
-    return path
-
-
 def change(fleet: Path, file: str, before: str, after: str) -> None:
     path = fleet.parent / file
     text = path.read_text(encoding="utf-8")

@@ -14,6 +14,7 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+from pipeline.schema import LATEST, NIGHTS, PARAMETERS, QUALITY, TRENDS
 from tests.scenarios.command import ROOT
 from tests.scenarios.covering import covers
 from tests.scenarios.fleets import FIRST, ScenarioFleet, Simulated, make_fleet, table
@@ -47,7 +48,11 @@ def test_motors_and_nights_are_those_that_are_chosen(small: ScenarioFleet) -> No
     assert done.code == 0
     (motor,) = done.events("motor")
     assert (motor["motor_id"], motor["nights"]) == ("B", {"ok": 2})
-    assert (motor["files"]["read"], motor["files"]["left"]) == (2, 2)
+    files = {"read": 2, "unchanged": 0, "growing": 0, "failed": 0, "left": 2}
+    assert motor["files"] == files
+    (run,) = done.events("run")
+    assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (1, 0, 2)
+    assert (run["files"], run["errors"], run["alarms"]) == (files, {}, [])
     assert nights_of(small) == {}
     rows = table(elsewhere, "nights").select("motor_id", "night").rows()
     assert rows == [("B", small.label(2)), ("B", small.label(3))]
@@ -107,31 +112,26 @@ def test_a_damaged_log_fails_its_night_alone_until_it_is_sound(small: ScenarioFl
     assert {row["status"] for row in small.nights("B")} == {"ok"}
 
 
-def test_a_late_and_a_changed_log_leave_what_a_run_at_once_does(
-    plant: ScenarioFleet, tmp_path: Path
-) -> None:
-    """`broken` again, of which a night came late and a night was half there at first."""
-    late = plant.copy(tmp_path / "late")
-    moved, halved = late.log("broken", 9), late.log("broken", 17)
+def test_a_late_and_a_changed_log_leave_what_a_run_at_once_does(tmp_path: Path) -> None:
+    """A night came late, and a night was half there at first."""
+    late = make_fleet(tmp_path / "late", nights=11, minutes=30.0)
+    once = late.copy(tmp_path / "once").fitted()
+    moved, halved = late.log("M1", 4), late.log("M1", 9)
     contents = {path: path.read_bytes() for path in (moved, halved)}
     moved.unlink()
     rows = pl.read_parquet(halved)
     rows[: rows.height // 2].write_parquet(halved)
-    (late.output).rename(tmp_path / "before")
-    first = late.run("fit-fleet", "--motors", "broken", "--json")
-    assert first.events("motor")[0]["nights"] == {"ok": 19, "no_new_data": 1}
+    first = late.run("fit-fleet", "--json")
+    assert first.events("motor")[0]["nights"] == {"ok": 10, "no_new_data": 1}
     for path, content in contents.items():
         path.write_bytes(content)
-    second = late.run("fit-fleet", "--motors", "broken", "--json")
+    second = late.run("fit-fleet", "--json")
     assert second.events("motor")[0]["files"]["read"] == 2
-    for name in ("nights", "parameters", "trends", "quality", "latest"):
+    for made in (NIGHTS, PARAMETERS, TRENDS, QUALITY, LATEST):
         at_once, by_and_by = (
-            fleet.table(name).filter(pl.col("motor_id") == "broken").drop(OF_RUNS)
-            for fleet in (plant, late)
+            fleet.table(made.name).drop(OF_RUNS).sort(made.key) for fleet in (once, late)
         )
-        keys = [name for name in ("night", "indicator", "parameter", "channel", "reason")
-            if name in at_once.columns]  # fmt: skip
-        assert_frame_equal(at_once.sort(keys), by_and_by.sort(keys), check_exact=True)
+        assert_frame_equal(at_once, by_and_by, check_exact=True)
 
 
 @covers("fit-fleet --fail-on-alarm")

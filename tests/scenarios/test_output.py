@@ -143,21 +143,17 @@ def a_table(plant: ScenarioFleet) -> Path:
 
 
 @covers("check --tables", "fit-fleet --repair")
-@pytest.mark.parametrize("fate", ["altered", "missing"])
-def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet, fate: str) -> None:
+def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet) -> None:
     path, before = a_table(plant), plant.table("predictions").drop("run_id")
     content, times = path.read_bytes(), path.stat()
-    if fate == "altered":
-        path.write_bytes(content[:-9] + bytes(9))
-        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as where a disk fails
-    else:
-        path.unlink()
+    path.write_bytes(content[:-9] + bytes(9))
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as where a disk fails
     found = plant.run("check", "--tables", "--json")
     assert found.code == 1
     assert found.events("tables")[0]["n_faults"] == 1
-    assert f"table_{fate}" in str(found.lines)
+    assert "table_altered" in str(found.lines)
     (run,) = plant.run("fit-fleet", "--repair", "--json").events("run")
-    assert [fault["code"] for fault in run["damage"]] == [f"table_{fate}"]
+    assert [fault["code"] for fault in run["damage"]] == ["table_altered"]
     assert run["damage_left"] == []
     after = plant.run("check", "--tables", "--json")
     assert (after.code, after.events("tables")[0]["n_faults"]) == (0, 0)

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 
+import leakage
 from leakage.errors import EstimationError, LeakageError, ShapeError, StatisticsError
 from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
 from leakage.frame.fit import fit_frame
@@ -205,3 +206,16 @@ def test_plots_show_what_they_say(found: FrameFit) -> None:
     assert at_200 == pytest.approx(found.leakage(200.0, 50.0, 30.0).leakage_l_per_min, rel=1e-3)
     assert (lower.y < total.y).all()
     assert (total.y < upper.y).all()
+
+
+# Names on top
+
+
+def test_names_on_top_are_few_and_there() -> None:
+    assert len(leakage.__all__) < 20
+    assert all(hasattr(leakage, name) for name in leakage.__all__)
+
+
+def test_an_unknown_name_is_none() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'slip'"):
+        _ = leakage.slip

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import pty
-import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -21,23 +20,20 @@ import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.store.atomic_files import Prepared, prepare
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import CSV, PARQUET, Call, break_log, without_workers
+from tests.pipeline.calling import CSV, PARQUET, Call, change, without_workers
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_130_and_143_while_publishing(
+def test_143_while_publishing(
     call: Call,
     own_fleet: OwnFleet,
     monkeypatch: pytest.MonkeyPatch,
-    number: signal.Signals,
-    code: int,
 ) -> None:
     came: list[int] = []
 
     def interrupted(*arguments: Any) -> Prepared:
         if not came:
-            came.append(number)
-            os.kill(os.getpid(), number)
+            came.append(signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
         return prepare(*arguments)
 
     fleet = without_workers(own_fleet(PARQUET))
@@ -45,8 +41,8 @@ def test_130_and_143_while_publishing(
         patched.setattr(pipeline.store.publishing, "prepare", interrupted)
         ended, out, err = call("fit-fleet", fleet)
     # What was begun is published whole, and nothing after it is begun.
-    assert ended == code
-    assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
+    assert ended == 143
+    assert err.startswith("motor-leakage: interrupted: stopped by SIGTERM")
     assert any(line.startswith("interrupted; 3 nights of 1 motor ") for line in out.splitlines())
     assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
@@ -94,33 +90,83 @@ def test_a_terminal_has_a_bar_of_nights_and_a_reader_that_goes_away_does_not_end
     assert fits["status"].to_list() == ["ok"]
 
 
-def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = without_workers(own_fleet(CSV, PARQUET))
-    break_log(fleet, PARQUET)
-    code, out, _ = call("fit-fleet", fleet, "--json")
+# What cannot be done
+
+
+NOTHING = "no_tables: there are no tables in"
+USAGE = "expected a NIGHT, or --train"
+REFUSED = [
+    ("fit-fleet --motors CB400-09", 2, "no motor CB400-09; there are CB400-01, CB400-02"),
+    ("fit-fleet --motors 'CB400-01 x y'", 2, "no motor x, y"),
+    ("fit-fleet --since yesterday", 2, "'--since': got 'yesterday'; expected YYYY-MM-DD"),
+    ("fit-fleet --until 2026-02-30", 2, "'--until': got '2026-02-30'"),
+    ("fit-fleet --since 2026-02-02 --until 2026-02-01", 2, "--since 2026-02-02 is after"),
+    ("fit-fleet --jobs 0", 2, "--jobs"),
+    ("fit-fleet --jobs two", 2, "--jobs"),
+    ("fit-fleet --fast", 2, "--fast"),
+    (f"fit-fleet --output {'x' * 300}", 2, "expected a folder: File name too long"),
+    ("fit-fleet another.toml", 2, "another.toml"),
+    ("fit-fleet --output demo/logs", 2, "expected another folder than that of the logs"),
+    ("check --tables --output none", 2, NOTHING),
+    ("prune --tables predictions --keep 1 --output none", 2, NOTHING),
+    (f"fit {CSV}", 2, USAGE),
+    (f"fit {CSV} --validate 2026-01-02..2026-01-03", 2, USAGE),
+    (f"fit {CSV} 2026-01-02 --train 2026-01-02..2026-01-03", 2, USAGE),
+    (f"fit {CSV} --train monday", 2, "write nights as"),
+    (f"fit {CSV} --train 2026-03-01T22:01..2026-03-01T22:02", 2, "write nights as"),
+    (f"fit {CSV} --train 2026-01-03..2026-01-02", 2, "ends before it begins"),
+    (f"fit {CSV} --train 2027-03-02..2027-03-03", 2, f"no log of {CSV} covers 2027-03-02 to"),
+    (f"fit {CSV} 2020-01-03", 2, "covers the night of 2020-01-03: they cover 2026-01-02 to"),
+    ("export", 2, "Missing option '--csv'"),
+    ("export --csv csv --decimal ,", 2, "csv_dialect: --decimal , needs another"),
+    ("export --csv csv --separator .", 2, "'--separator': Value error, '.' is not one of"),
+    ("export --csv csv --tables fit", 2, "unknown_table: --tables: no table fit"),
+    ("export --csv csv --motors CB9", 2, "unknown_motor: no motor CB9"),
+    ("export --csv csv --since x", 2, "'--since': got 'x'"),
+    ("export --csv csv --since 2026-01-03 --until 2026-01-02", 2, "is after"),
+    ("export --csv csv --output none", 2, NOTHING),
+    ("export --csv configs/fleet.toml", 4, "store_write: nights.csv cannot be written"),
+]
+
+
+@pytest.mark.parametrize(("line", "code", "words"), REFUSED)
+def test_wrong_usage_is_refused(
+    call: Call, fleet: Path, monkeypatch: pytest.MonkeyPatch, line: str, code: int, words: str
+) -> None:
+    monkeypatch.chdir(fleet.parents[1])
+    before = sorted(Path.cwd().rglob("*"))
+    command, *options = shlex.split(line)
+    ended, out, err = call(command, fleet, *options)
+    assert (ended, out) == (code, "")
+    assert words in err
+    assert sorted(Path.cwd().rglob("*")) == before
+
+
+def test_logs_that_are_not_there_are_no_fleet_without_new_logs(call: Call, fleet: Path) -> None:
+    """A folder that is not mounted, a wrong pattern, a log that is named, and metrics."""
+    logs = fleet.parents[1] / "demo" / "logs"
+    with fleet.open("a") as config:
+        config.write('[metrics]\ntextfile = "../metrics/fleet.prom"\n')
+    code, _, err = call("check", fleet)
     assert code == 1
-    *motors, run = map(json.loads, out.splitlines())
-    assert [motor["event"] for motor in motors] == ["motor", "motor"]
-    line = {"event": "motor", "motor_id": CSV, "status": "ok", "error_code": None, "message": None}
-    files = {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0}
-    line |= {
-        "nights": {"ok": 3},
-        "files": files,
-        "growing": [],
-        "left_out": [],
-        "stays": {},
-        "findings": [],
-    }
-    assert motors[0] == line
-    assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
-    assert motors[1]["nights"] == {"ok": 2, "failed": 1}
-    assert run["event"] == "run"
-    assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (2, 1, 6)
-    assert run["files"] == {"read": 5, "unchanged": 0, "growing": 0, "failed": 1, "left": 0}
-    assert re.fullmatch(r"[0-9a-f]{16}", run["run_id"])
-    assert (run["errors"], run["alarms"]) == ({"log_not_parquet": 1}, [])
-    stages = run["seconds_by_stage"]
-    assert all(stages[name] > 0 for name in ("read_s", "clean_s", "fit_s", "residuals_s"))
-    whole = sum(stages[name] for name in ("motors_s", "publish_s", "trends_s"))
-    assert whole == pytest.approx(run["seconds"], abs=0.01)
-    assert run["interrupted"] is False
+    assert err.startswith("motor-leakage: metrics_file: ")
+    (fleet.parents[1] / "metrics").mkdir()
+    assert call("check", fleet)[0] == 0
+    for motor, words in (
+        (PARQUET, f"{PARQUET}: no_logs: no log: no file matches {PARQUET}/*.parquet below {logs}"),
+        (CSV, f"motor-leakage: no_logs: no log of any motor is below {logs}"),
+    ):
+        for path in (logs / motor).iterdir():
+            path.unlink()
+        code, _, err = call("check", fleet)
+        assert code == 1
+        assert words in err
+    change(fleet, f"motors/{CSV}.toml", f'"{CSV}/*.csv"', '"gone.csv"')
+    code, out, err = call("fit", fleet, CSV, "2026-01-03")
+    assert (code, out) == (1, "")
+    assert err == f"{CSV}: log_missing: gone.csv: named in the config and absent\n"
+    logs.rename(logs.with_name("unmounted"))
+    for command in ("fit-fleet", "check"):
+        code, _, err = call(command, fleet)
+        assert code == 2
+        assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err

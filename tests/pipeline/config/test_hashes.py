@@ -19,7 +19,6 @@ from pipeline.config.hashes import (
     config_hash,
     model_hash,
     reading_hash,
-    settings_of,
     why_anew,
 )
 from pipeline.config.motor_types import LaminarPath, LeakageLimits, OilSample, Unknown
@@ -233,21 +232,3 @@ def test_another_version_of_a_reader_reads_anew(
 )
 def test_what_changed_is_named(before: dict[str, Any], now: dict[str, Any], words: str) -> None:
     assert why_anew(before, now) == words
-
-
-@pytest.mark.parametrize(
-    ("table", "key", "of_nights"),
-    [("cleaning", "standstill_rpm", True), ("alarms", "alarm_percent", False)],
-)
-def test_settings_of_nights_are_kept_apart_from_those_of_trends(
-    spec: MotorSpec, table: str, key: str, of_nights: bool
-) -> None:
-    section = getattr(spec.settings, table)
-    new = section.model_copy(update={key: getattr(section, key) + 1})
-    changed = replace(spec, settings=spec.settings.model_copy(update={table: new}))
-    before, now = settings_of(spec), settings_of(changed)
-    assert (before["nights"] != now["nights"], before["trends"] != now["trends"]) == (
-        of_nights,
-        not of_nights,
-    )
-    assert why_anew(before, now, trends=True) == f"changed setting {table}.{key}"

@@ -34,25 +34,6 @@ def test_shipped_configs_load(configs: Configs) -> None:
             assert columns[-3:] == ("one", "known", "measured")
 
 
-WHOLE = """motor_id = "M1"
-motor_type = "CB400"
-oil = "vg68"
-[logs]
-format = "csv"
-files = ["M1/*.csv"]
-[channels]
-pressure_difference = { source = "dp", unit = "bar" }
-oil_temperature = { source = "T", unit = "degC" }
-speed = { source = "n", unit = "rpm" }
-leakage_flow = { source = "q", unit = "l/min" }
-"""
-
-
-def test_a_motor_s_file_of_few_lines_is_whole(configs: Configs) -> None:
-    configs.add("motors/M1.toml", WHOLE)
-    assert configs.motor("M1").settings == configs.motor().settings
-
-
 # Files and folders
 
 
@@ -80,14 +61,6 @@ def test_a_file_may_begin_with_a_byte_order_mark(configs: Configs) -> None:
         path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
     configs.add("motors/CB400-01.toml~", "backup")
     assert len(configs.load().motors) == 6
-
-
-def test_folders_that_are_not_there(configs: Configs) -> None:
-    for name in ("motors", "motor_types", "oils"):
-        (configs / name).rename(configs / f"old_{name}")
-    faults = configs.faults()
-    assert {fault.file for fault in faults} == {"motors", "motor_types", "oils"}
-    assert all("expected a folder at" in fault.message for fault in faults)
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,10 @@ from pipeline.config.nights import DAY, night
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.logs import files as logs
+from pipeline.logs.dates import with_known_nights
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
 from pipeline.logs.finding import FolderLogs, find_logs
-from pipeline.logs.processed import FileRecord, content_hash
+from pipeline.logs.processed import FileRecord
 
 UNITS = {
     "pressure_difference": "bar",
@@ -117,34 +117,11 @@ def test_a_folder_of_many_motors_is_listed_once(
 # Records
 
 
-def test_what_is_known_of_a_new_file_and_of_the_same_file_later(
-    spec: MotorSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write(tmp_path / "a.csv", every_minute(n=600))
-    record = inspected(path, spec)
-    assert (record.status, record.size) == ("ok", path.stat().st_size)
-    assert record.sha256 == content_hash(path)
-    assert (record.first_us, record.last_us) == (us(EVENING), us(EVENING + 599 * MINUTE))
-    assert record.nights == ("2026-01-02", "2026-01-03")
-    monkeypatch.setattr(logs, "content_hash", lambda _: pytest.fail("was read again"))
-    assert inspected(path, spec, record) == record
-
-
 def test_nights_are_those_of_the_fleet_s_zone(spec: MotorSpec, tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", every_minute(EVENING.replace(hour=5)))
     assert inspected(path, spec).nights == ("2026-01-01",)
     oslo = spec.settings.model_copy(update={"nights": Nights(time_zone="Europe/Oslo")})
     assert inspected(path, replace(spec, settings=oslo)).nights == ("2026-01-02",)
-
-
-def test_what_is_no_file(spec: MotorSpec, tmp_path: Path) -> None:
-    (tmp_path / "folder").mkdir()
-    os.mkfifo(tmp_path / "pipe")  # must not be opened: it would wait for a writer
-    (tmp_path / "nowhere").symlink_to(tmp_path / "gone")
-    for name in ("folder", "pipe", "nowhere", "vanished"):
-        record = inspected(tmp_path / name, spec)
-        assert (record.status, record.error_code) == ("failed", "log_not_readable")
-        assert record.sha256 is None
 
 
 @pytest.mark.parametrize("at", [0, 1, 58, 59])
@@ -216,14 +193,67 @@ def test_a_night_is_half_open() -> None:
     assert found.missing.tolist() == [False, True]
 
 
-def test_files_follow_one_another_in_the_order_given() -> None:
-    """Nothing is sorted: backward time is for cleaning to refuse."""
-    start = HERE.start_us
-    parts = [
-        log_at(start + 20, start + 30, value=1.0, unparsed=2),
-        log_at(start + 10, start + 20, value=2.0, unparsed=3),
-    ]
-    found = slice_night(iter(parts), HERE, {})["speed"]
-    assert (found.time_us - start).tolist() == [20, 30, 10, 20]
-    assert found.value.tolist() == [1.0, 1.0, 2.0, 2.0]
-    assert found.unparsed == 5
+# Nights of files that cannot be read
+
+
+LATEST = dt.date(2026, 6, 1)
+
+
+def failed(name: str) -> FileRecord:
+    return FileRecord(name, 10, 1, "x", status="failed", message="torn")
+
+
+def readable(name: str, *nights: str) -> FileRecord:
+    return FileRecord(name, 10, 1, "y", nights=nights)
+
+
+def placed(*records: FileRecord, before: Sequence[FileRecord] = ()) -> dict[str, FileRecord]:
+    known = {record.path: record for record in before}
+    return with_known_nights({record.path: record for record in records}, known, LATEST)
+
+
+def test_as_read_before() -> None:
+    """A log that was cut after it had been read: the nights that it had, whatever its name."""
+    name = "a_2026-02-20.csv"
+    before = readable(name, "2026-01-05", "2026-01-06")
+    record = placed(failed(name), before=[before])[name]
+    assert record.nights == ("2026-01-05", "2026-01-06")
+    assert record.message == "torn (night known by what it held before)"
+    # The next run finds it as this one left it.
+    assert placed(record, before=[record])[name] == record
+
+
+@pytest.mark.parametrize(
+    ("name", "date"),
+    [
+        ("2026-03-04.csv", "2026-03-04"),
+        ("M1_2026.03.04_220000.csv", "2026-03-04"),
+        ("x/20260304T220000Z.mcap", "2026-03-04"),
+        ("since_2020-01-01/2026-03-04.csv", "2026-03-04"),  # the last date counts
+        # Digits within a longer number, such as seconds since 1970, are no date.
+        *((name, None) for name in ("log.csv", "1720101005.csv", "2026-02-30.csv", "M20.csv")),
+        ("serial-120260304.csv", None),
+        ("2026-06-01.csv", "2026-06-01"),
+        ("2026-06-02.csv", None),  # after the latest
+    ],
+)
+def test_dates_in_names(name: str, date: str | None) -> None:
+    assert placed(failed(name))[name].nights == ((date,) if date else ())
+
+
+@pytest.mark.parametrize(
+    ("night", "is_plausible"),
+    [("2025-11-30", False), ("2025-12-01", True), ("2026-02-10", True), ("2026-02-11", False)],
+)
+def test_a_night_is_near_the_others(night: str, is_plausible: bool) -> None:
+    """Within 31 days of the motor's readable logs, present or remembered, of 1 to 10 January.
+
+    Files here are named after the evening on which they begin, but for one.
+    """
+    evening = dt.date.fromisoformat(night) - dt.timedelta(days=1)
+    name = f"x_{evening}.csv"
+    neighbours = [readable(f"m/2026010{day}.csv", f"2026-01-0{day + 1}") for day in (1, 2, 3)]
+    strange, before = readable("m/20260104.csv", "2026-01-01"), readable("9", "2026-01-10")
+    record = placed(*neighbours, strange, failed(name), before=[before])[name]
+    assert record.nights == ((night,) if is_plausible else ())
+    assert (record.message == "torn (night known by its name)") == is_plausible

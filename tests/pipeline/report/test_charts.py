@@ -8,27 +8,16 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.report.build import page_of
-from pipeline.report.charts import night_chart, residual_chart
+from pipeline.report.charts import residual_chart
 from pipeline.report.plotly_json import figure, numbers, script_json
-from pipeline.schema import PREDICTIONS, RESIDUAL_TESTS
+from pipeline.schema import RESIDUAL_TESTS
 from pipeline.store.tables import read_table
 from tests.pipeline.written import night_file
-
-
-def test_a_line_is_broken_where_samples_are_missing(fitted_output: Path) -> None:
-    path = night_file(fitted_output, PREDICTIONS, dt.date(2026, 1, 3))
-    rows = read_table(path, PREDICTIONS).filter(motor_id="CB560-02")
-    start = rows["time"][0]
-    even = rows[:100].with_columns(time=start + pl.int_range(100) * dt.timedelta(seconds=1))
-    *_, speed = night_chart(pl.concat([even[:30], even[80:]])).panels
-    assert np.flatnonzero(np.isnan(speed.lines[0].value)).tolist() == [30]
-    assert night_chart(rows.clear()).panels == ()
 
 
 def test_correlations_of_the_errors_are_drawn_lag_by_lag(fitted_output: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 import typer
 
 from pipeline.cli.arguments import duration
-from pipeline.config import load_fleet
 from pipeline.errors import UsageError
 from pipeline.night.residuals import explain_warm_up
 from pipeline.report.explain import explain
@@ -19,9 +18,7 @@ from pipeline.report.status import last_alarm
 from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, frame
 from pipeline.trends.motor_states import ACTIONABLE, CHANGED, ORDER
-from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table, rows_with
-from tests.pipeline.run.demo_runs import run
 from tests.pipeline.written import write_nights
 
 FIRST = dt.date(2026, 1, 2)
@@ -34,18 +31,6 @@ def test_a_poor_fit_is_called_one(output: Path) -> None:
     (fit,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
     assert "validation -1295.0 % (poor: worse than a constant flow)" in fit
     assert fit.count("poor") == 1
-
-
-def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
-    file = own_fleet("CB400-02")
-    fleet = load_fleet(file)
-    log = min((fleet.log_root / "CB400-02").iterdir())
-    log.write_bytes(b"nonsense" * 1000)
-    run(file)
-    lines = explain(fleet.output, "CB400-02", FIRST)
-    assert lines[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
-    assert lines[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
-    assert "\n".join(lines).count("does not begin as Parquet does") == 1
 
 
 @pytest.mark.parametrize(

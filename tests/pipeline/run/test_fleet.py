@@ -9,16 +9,12 @@ import stat
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
-import polars as pl
 import pytest
 
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
-from pipeline.schema import TABLES, Table
-from pipeline.store.heartbeat import Heartbeat
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import Processes
 from tests.pipeline.run.demo_runs import (
@@ -30,9 +26,6 @@ from tests.pipeline.run.demo_runs import (
     status_of,
     table_files,
 )
-
-# Nothing is raised, entered or said in three nights.
-WITHOUT_ROWS = {"alarms", "decisions", "intraday"}
 
 
 def test_one_after_the_other_and_two_workers_write_the_same_bytes_wherever_they_lie(
@@ -48,24 +41,6 @@ def test_one_after_the_other_and_two_workers_write_the_same_bytes_wherever_they_
     first = table_files(output_of(fleet))
     assert first == table_files(tmp_path / "moved/out")
     assert len(first) >= 6 * 2
-
-
-def test_a_signal_between_two_stages_stops_the_run_as_within_a_stage(
-    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    say = Heartbeat.say
-
-    def say_and_stop(self: Heartbeat, **words: Any) -> None:
-        say(self, **words)
-        if words.get("stage") == "motors":
-            signal.raise_signal(signal.SIGINT)
-
-    fleet = own_fleet(CSV)
-    monkeypatch.setattr(Heartbeat, "say", say_and_stop)
-    stopped = run(fleet)
-    assert (stopped.interrupted, stopped.n_nights) == (True, 0)
-    monkeypatch.undo()
-    assert status_of(run(fleet)) == {CSV: "ok"}
 
 
 @pytest.mark.full
@@ -92,17 +67,6 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     # And nothing is new for the next run, wherever that is done.
     assert run_fleet(request).n_nights == 0
     assert table_files(tmp_path) == table_files(fitted_output)
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table: Table) -> None:
-    if table.name in WITHOUT_ROWS:
-        return
-    files = fitted_output / "tables" / table.name / "**" / "*.parquet"
-    rows = pl.read_parquet(files, hive_partitioning=False)
-    assert rows.height
-    assert rows.select(table.key).is_unique().all()
-    assert rows.schema == table.schema
 
 
 @pytest.mark.parametrize(("minimum_mib", "is_refused"), [(100, True), (99, False), (0, False)])

@@ -101,18 +101,6 @@ def previous(workshop: Workshop) -> dict[dt.date, float | None]:
     return dict(workshop.rows("nights").select("night", "previous_model_fit_percent").iter_rows())
 
 
-def test_a_new_night_reads_its_own_log_and_no_other(workshop: Workshop) -> None:
-    blank(workshop)
-    new = NIGHTS[-1] + DAY
-    workshop.log(new, seed=9)
-    before = files(workshop, "fits", "blocks", "quality", "trends")
-    outcome = workshop.run()
-    assert (outcome.status, outcome.nights) == ("ok", (new,))
-    assert outcome.files["read"] == 1
-    after = files(workshop, "fits", "blocks", "quality", "trends")
-    assert written(before, after) == {str(new)}
-
-
 def test_a_corrected_night_is_read_and_no_other_is_fitted(workshop: Workshop) -> None:
     """Design.md section 4: later nights are judged anew by its model, from stored blocks."""
     touched, after, last = NIGHTS[1], NIGHTS[2], NIGHTS[3]

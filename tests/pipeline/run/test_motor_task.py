@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from polars.testing import assert_frame_equal
 
 import pipeline.logs.motor_logs
 import pipeline.run.night_plan
-from pipeline.config import load_fleet
 from pipeline.ingest import read_log
-from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, SECOND_US, motor_toml, write_configs, write_log
 from tests.pipeline.workshop import (
     DAY,
@@ -103,36 +99,6 @@ def test_a_night_is_judged_with_the_last_model_however_far(workshop: Workshop) -
     assert after < before - 50.0
 
 
-def test_a_night_that_loses_its_fit_is_no_model_any_more(
-    workshop: Workshop, other: Workshop
-) -> None:
-    for label in (NIGHT, NIGHT + DAY, NIGHT + 2 * DAY):
-        workshop.log(label, seed=label.day)
-    workshop.run()
-    # Night 2 turns out to hold too little: night 3 is judged with night 1's model instead.
-    operation, values = workshop.night(NIGHT + DAY)
-    rows = slice(0, 300)
-    write_log(workshop.logs / f"{NIGHT + DAY}.parquet", operation.time_us[rows], part(values, rows))
-    assert workshop.run(redo=(NIGHT + DAY, NIGHT + DAY)).nights == (NIGHT + DAY,)
-    for path in sorted(workshop.logs.iterdir()):
-        (other.logs / path.name).write_bytes(path.read_bytes())
-    other.run()
-    check_same_figures(workshop, other)
-
-
-def test_nights_in_any_order_come_to_the_same(workshop: Workshop, other: Workshop) -> None:
-    labels = [NIGHT + day * DAY for day in range(3)]
-    for label in labels:
-        workshop.log(label, seed=label.day)
-        other.log(label, seed=label.day)
-    workshop.run()
-    for day in (2, 0, 1):
-        other.run(since=labels[day], until=labels[day])
-    other.run()
-    check_same_figures(workshop, other)
-    assert other.run().nights == ()
-
-
 ROLLER = """
 [[path]]
 name = "cam_roller"
@@ -161,39 +127,6 @@ def with_roller(folder: Path) -> Workshop:
 
 def forms(made: Workshop) -> list[bool]:
     return ["scale_cam_roller" in names for names in made.rows("fits")["coefficient_names"]]
-
-
-@pytest.mark.usefixtures("_two_nights_decide")
-def test_all_nights_change_with_the_decision(tmp_path: Path) -> None:
-    nightly, two = with_roller(tmp_path / "one"), with_roller(tmp_path / "two")
-    for number in range(3):
-        two.log(NIGHT + number * DAY, seed=number)
-    two.run()
-    nightly.log(NIGHT, seed=0)
-    nightly.run()
-    assert forms(nightly) == [False]
-    for number in (1, 2):
-        nightly.log(NIGHT + number * DAY, seed=number)
-    nightly.run()
-    assert forms(nightly) == [True] * 3
-    check_same_figures(nightly, two, "log_files")
-    assert_frame_equal(nightly.rows("trends"), two.rows("trends"), check_exact=True)
-
-
-@pytest.mark.usefixtures("_two_nights_decide")
-def test_a_back_fill_in_parts_decides_with_the_first_that_can(tmp_path: Path) -> None:
-    parts, whole = with_roller(tmp_path / "parts"), with_roller(tmp_path / "whole")
-    for number in range(4):
-        for shop in (parts, whole):
-            shop.log(NIGHT + number * DAY, seed=number)
-    request = RunRequest(load_fleet(parts.fleet))
-    run_fleet(replace(request, until=NIGHT + DAY))
-    assert forms(parts) == [True] * 2
-    run_fleet(replace(request, since=NIGHT + 2 * DAY))
-    # Nothing is left to be fitted again.
-    assert parts.run().nights == ()
-    whole.run()
-    check_same_figures(parts, whole, "log_files")
 
 
 @pytest.mark.usefixtures("_two_nights_decide")

@@ -18,18 +18,6 @@ from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, Workshop
 
 
-def test_nights_without_a_log_between_two_with_one(workshop: Workshop) -> None:
-    workshop.log(NIGHT)
-    workshop.log(NIGHT + 5 * DAY)
-    outcome = workshop.run()
-    assert dict(outcome.counts) == {"ok": 2, "no_new_data": 4}
-    assert outcome.status == "ok"
-    assert list(workshop.statuses().values()) == ["ok", *["no_new_data"] * 4, "ok"]
-    # A log that follows fills what lies between, too; what is reported is not reported again.
-    workshop.log(NIGHT + 7 * DAY)
-    assert workshop.run().nights == (NIGHT + 6 * DAY, NIGHT + 7 * DAY)
-
-
 def test_a_lost_clock_does_not_make_decades_of_holes(workshop: Workshop) -> None:
     workshop.log(dt.date(2000, 1, 3))
     workshop.log(NIGHT)
@@ -37,16 +25,6 @@ def test_a_lost_clock_does_not_make_decades_of_holes(workshop: Workshop) -> None
     assert outcome.nights == (dt.date(2000, 1, 3), NIGHT)
     workshop.log(NIGHT + DAY)
     assert workshop.run().nights == (NIGHT + DAY,)
-
-
-def test_patterns_that_match_no_file_are_reported(workshop: Workshop) -> None:
-    workshop.configure(files='"M1/*.parquet", "M1/old/*.csv"')
-    outcome = workshop.run()
-    below = f"below {workshop.folder / 'logs'}"
-    message = f"no file matches M1/*.parquet {below}; no file matches M1/old/*.csv {below}"
-    assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, message)
-    workshop.log(NIGHT)
-    assert workshop.run().message is None
 
 
 @pytest.mark.parametrize("lag", [-1, 1])
@@ -64,23 +42,15 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
 
 
-def make_pipe(path: Path) -> None:
-    os.mkfifo(path)
-
-
 def make_folder(path: Path) -> None:
     path.mkdir()
-
-
-def make_dangling_link(path: Path) -> None:
-    path.symlink_to(path.parent / "nowhere")
 
 
 def make_endless_link(path: Path) -> None:
     path.symlink_to("/dev/zero")
 
 
-@pytest.mark.parametrize("make", [make_pipe, make_folder, make_dangling_link, make_endless_link])
+@pytest.mark.parametrize("make", [make_folder, make_endless_link])
 def test_what_is_no_file_is_reported_and_waited_for_by_nobody(
     workshop: Workshop, make: Callable[[Path], None]
 ) -> None:

@@ -18,7 +18,7 @@ from pipeline.ingest import RawChannel
 from pipeline.setup.check import MotorCheck, check_motor
 from pipeline.setup.samples import sampling_note
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import change, refused
+from tests.pipeline.calling import change
 from tests.pipeline.simulated import (
     NIGHT,
     load_motor,
@@ -172,16 +172,6 @@ def test_what_a_night_has(
 ) -> None:
     note = logged(tmp_path, minutes=minutes, **values).notes[0]
     assert all(word in note for word in words), note
-
-
-def test_two_motors_on_the_same_logs_and_two_channels_on_one_column(tmp_path: Path) -> None:
-    motors = {name: motor_toml(name, files='"M1/*.parquet"') for name in ("M1", "M2")}
-    with refused("config", "motors/M2.toml: channels.leakage_flow.source"):
-        load_fleet(write_configs(tmp_path, motors))
-    same = motor_toml("M1").replace('source = "speed"', 'source = "leakage_flow"')
-    (tmp_path / "configs" / "motors" / "M2.toml").unlink()
-    with refused("config", "expected a column of its own: this is that of speed, too"):
-        load_fleet(write_configs(tmp_path, {"M1": same}))
 
 
 def test_a_flow_that_follows_neither_pressure_nor_viscosity(tmp_path: Path) -> None:

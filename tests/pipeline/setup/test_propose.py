@@ -18,7 +18,6 @@ from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.config.channels import GOOD_QUALITY
 from pipeline.demo import shipped_configs
-from pipeline.errors import UsageError
 from pipeline.ingest import read_log
 from pipeline.logs.finding import find_logs
 from pipeline.setup.fleet_files import fleet_files, observe, observed_of, write_fleet
@@ -260,22 +259,6 @@ def test_a_quality_in_any_usual_form_is_used(
     for column in motor.channels.values():
         codes = {str(code).casefold() for code in column.keys.get("quality_good", GOOD_QUALITY)}
         assert (good.casefold() in codes, bad.casefold() in codes) == (True, False)
-
-
-@pytest.mark.parametrize(
-    ("answers", "words"),
-    [
-        ({"dpp": "bar"}, "dpp: there is no such question; open: none is open"),
-        ({"time_zone": "Mars/Phobos"}, "time_zone: got 'Mars/Phobos'; expected the name of an"),
-        ({"a.leakage_flow": "Flow 3 [l/min]"}, "a.leakage_flow: got 'Flow 3 [l/min]'; expected"),
-    ],
-)
-def test_answers_that_cannot_be_are_refused(
-    tmp_path: Path, answers: Mapping[str, str], words: str
-) -> None:
-    with pytest.raises(UsageError) as caught:
-        propose(write(tmp_path, {"a.csv": text(FOUR, CELLS)}), answers)
-    assert (caught.value.code, caught.value.message[: len(words)]) == ("answer", words)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,7 +16,6 @@ import pytest
 from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
-from pipeline.errors import LogError
 from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
 from tests.dialects import Recorded
@@ -173,27 +171,6 @@ def test_of_several_encodings_that_of_the_most_known_words(
     path = log_in(tmp_path, f"{header}\n{rows}".encode(encoding))
     (motor,) = propose(path, {"time_zone": "UTC"}).motors
     assert (motor.logs["encoding"], len(motor.channels)) == (encoding, 4)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"no table\n", b"\0\1\2" * 100, b"PAR1" + bytes(40), b"\x89MCAP0\r\n" * 2, b"1,2\n" * 9],
-    ids=["empty", "one cell", "binary", "Parquet", "MCAP", "no names"],
-)
-def test_what_is_no_log(tmp_path: Path, data: bytes) -> None:
-    with pytest.raises(LogError):
-        sniff(log_in(tmp_path, data, "log"))
-
-
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [("absent", "log_missing"), (".", "log_not_readable"), ("pipe", "log_not_readable")],
-)
-def test_what_is_no_file(tmp_path: Path, name: str, code: str) -> None:
-    """A pipe would hold up who opens it."""
-    os.mkfifo(tmp_path / "pipe")
-    with refused(code):
-        sniff(tmp_path / name)
 
 
 # Parquet

@@ -13,12 +13,11 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from pipeline.schema import LATEST, NIGHTS, frame
-from pipeline.store.state import STATE_FILE, read_state_file
+from pipeline.store.state import read_state_file
 from pipeline.store.tables import whole_file
 from pipeline.trends.decisions import Decision, read_decisions, record_decision
-from pipeline.trends.motor_states import IntradayStatus, MotorState, published_states, urgency
+from pipeline.trends.motor_states import MotorState, published_states
 from pipeline.trends.tasks import NewestNight, newest_night_of
-from tests.pipeline.calling import refused
 from tests.pipeline.trends.nights import (
     DAY,
     Nights,
@@ -82,18 +81,6 @@ def test_what_was_said_since_the_run_counts(fleet: tuple[Path, Path]) -> None:
     assert states(output)["M1"].row["acknowledged"] is None
     record_decision(output, replace(early, night=since, note="rings ordered"))
     assert states(output)["M1"].row["acknowledged"] == "rings ordered"
-
-
-def test_a_sudden_rise_comes_first_and_a_clear_one_is_not_shown(watched: Path) -> None:
-    since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
-    rise = IntradayStatus("risen", since, "drain flow +82 % [75, 90]", risen=1)
-    worn, healthy = states(watched / "out").values()
-    broken, quiet = (
-        replace(healthy, intraday=check) for check in (rise, replace(rise, state="clear"))
-    )
-    assert sorted((quiet, worn, broken), key=urgency) == [broken, worn, quiet]
-    assert "risen since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
-    assert "clear" not in quiet.why
 
 
 @pytest.mark.parametrize(
@@ -186,12 +173,3 @@ def test_the_oldest_is_first_however_many_write_at_once(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda decision: record_decision(tmp_path, decision), decisions))
     assert read_decisions(tmp_path) == tuple(reversed(decisions))
-
-
-@pytest.mark.parametrize("harm", [Path.mkdir, lambda path: path.write_bytes(b"no database" * 99)])
-def test_where_it_cannot_be_written_it_is_said(tmp_path: Path, harm: object) -> None:
-    harm(tmp_path / STATE_FILE)  # type: ignore[operator]
-    with refused("store_write", "cannot be written"):
-        record_decision(tmp_path, SAID)
-    with refused("store_read", "cannot be read"):
-        read_decisions(tmp_path)

@@ -8,14 +8,12 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from polars.testing import assert_frame_equal
 
-from pipeline.schema import ALARMS, NIGHTS, TREND_TABLES, TRENDS
-from pipeline.store.publishing import stage
+from pipeline.schema import NIGHTS, TRENDS
 from pipeline.store.state import open_state
 from pipeline.trends.comparing import compare_nights
 from pipeline.trends.course import Course
-from pipeline.trends.decisions import Decision, record_decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.stage import run_trends
 from pipeline.trends.tasks import (
     NewestNight,
@@ -30,7 +28,6 @@ from pipeline.trends.tasks import (
     write_record,
 )
 from pipeline.workers.process import Loss
-from tests.pipeline.remembered import record_of
 from tests.pipeline.trends.nights import (
     Nights,
     copy_of,
@@ -41,12 +38,10 @@ from tests.pipeline.trends.nights import (
     night_of,
     publish,
     published_trends,
-    ramp,
     reset,
     run,
     step,
 )
-from tests.pipeline.written import publisher_of
 
 N, AT = 24, 16
 RAISED = ["warning", "alarm"]
@@ -65,18 +60,6 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fleet(published: Path, tmp_path: Path) -> tuple[Path, Path]:
     """A copy of that folder: its config and its output."""
     return copy_of(published, tmp_path / "fleet")
-
-
-def test_wear_that_goes_on_is_reported_once_a_state(tmp_path: Path) -> None:
-    """A ramp is detected again and again as it grows: no alarm, unless its state changes."""
-    config, output = fleet_of(tmp_path, Nights(motor(), 30, {"balance_sleeve": ramp(30, 10, 1.2)}))
-    run(config)
-    detected = pl.col("still_rising") & (pl.col("detected_on") == pl.col("night"))
-    again = published_trends(output, NIGHTS).filter(detected)
-    assert again.height
-    alarms = published_trends(output, ALARMS)
-    assert alarms["to_state"].to_list() == ["ok", "warning", "alarm"]
-    assert set(again["night"]).isdisjoint(alarms.filter(to_state="warning")["night"][1:])
 
 
 def test_figures_stand_beside_a_baseline_that_stays_frozen(published: Path) -> None:
@@ -126,51 +109,6 @@ def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Pat
     assert ": stood still; leakage of the balance sleeve" in stale["sentence"]
     assert (stale["leakage_change_percent"], stale["leakage_reason"]) == (None, "stood still")
     assert stale["state_since"] == night_of(AT + 10)
-
-
-def test_a_limit_of_the_motor_type_holds_before_there_is_a_baseline(tmp_path: Path) -> None:
-    """The placeholders leak 1.371 l/min at the reference conditions."""
-    config, output = fleet_of(tmp_path, Nights(motor(), 10))
-    types = config.parent / "motor_types" / "CB560.toml"
-    types.write_text(types.read_text() + "\n[limits]\nalarm_l_per_min = 1.3\n")
-    run(config)
-    nights = published_trends(output, NIGHTS)
-    assert set(nights.select("state", "alarm_limit_l_per_min").rows()) == {("alarm", 1.3)}
-    assert published_trends(output, ALARMS)["to_state"].to_list() == ["alarm"]
-
-
-def test_what_is_made_anew_notifies_of_what_is_in_force_and_of_nothing_past(
-    fleet: tuple[Path, Path], tmp_path: Path
-) -> None:
-    """As if the program had raised, by other rules, what its nights do not show now."""
-    config, output = fleet
-    raised = published_trends(output, ALARMS).filter(pl.col("to_state").is_in(RAISED))
-    early = raised.row(0, named=True) | {"id": f"M1 {night_of(10)} leakage", "night": night_of(10)}
-    stage(tmp_path / "trends" / "M1.arrow", {ALARMS: {night_of(10): [early]}})
-    with publisher_of(output, "old", tmp_path) as publisher:
-        publisher.nights("trends", (ALARMS,), ["M1"])
-    with open_state(output) as state:
-        write_record(state, "M1", replace(record_of(output, "M1"), trend_hash=""))
-    assert run(config).alarms == ()
-    rows = published_trends(output, ALARMS).select("night", "to_state", "closed_as").rows()
-    assert (night_of(10), early["to_state"], None) in rows
-    assert (night_of(11), "ok", "recomputed") in rows
-
-
-def test_what_is_said_of_a_motor_moves_nothing_reported_of_the_others(tmp_path: Path) -> None:
-    tank = [
-        Nights(named(motor(), name, "mill"), 13, {"oil": step(13, 10, 0.2)}, seed=seed)
-        for seed, name in enumerate("ABC", 1)
-    ]
-    config, output = fleet_of(tmp_path, *tank)
-    run(config)
-    before = {table: published_trends(output, table, "B") for table in TREND_TABLES}
-    assert set(before[NIGHTS]["state"][11:]) == {"common_cause"}
-    record_decision(output, reset(10, motor_id="A"))
-    run(config)
-    assert published_trends(output, NIGHTS, "A")["state"][11] == "insufficient"
-    for table, rows in before.items():
-        assert_frame_equal(published_trends(output, table, "B"), rows)
 
 
 # Which nights
