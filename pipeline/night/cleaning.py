@@ -31,7 +31,7 @@ from pipeline.night.masks import (
     step_of_readings,
     stretches,
 )
-from pipeline.night.time_order import SharedStamps, Steps
+from pipeline.night.time_order import Steps, order_of
 from pipeline.units import FALLBACK_VALID_RANGE
 
 # Hampel's filter: samples in its centred window, and scaled MAD off their median that are a spike.
@@ -195,20 +195,18 @@ def clean_channel(
     raw: RawChannel,
     rules: ChannelRules,
     night_start_us: int | None = None,
-    stamps: SharedStamps | None = None,
     rests: Rests = NO_RESTS,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
-    Of what lies before `night_start_us`, the last sample of an on-change channel carries over.
-    `stamps` has those of the channel before, which may be the same; in `rests` nothing need move.
+    Of what lies before `night_start_us`, the last sample of an on-change channel carries over; in
+    `rests` nothing need move.
     """
-    stamps = stamps or SharedStamps()
     early, here = None, raw
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
         before = raw.time_us < night_start_us
         early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    order = stamps.order(here.time_us)
+    order = order_of(here.time_us)
     n_put_back, n_backward, n_duplicate = (
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
@@ -217,7 +215,7 @@ def clean_channel(
     # A day at 100 Hz is not to be in memory twice.
     del raw, here
     readings_us = cells.time_us if not cells.missing.any() else cells.time_us[~cells.missing]
-    steps = stamps.steps(readings_us)
+    steps = Steps.of(readings_us)
     longest_gap_us = rules.longest_gap_us(steps.period_us)
     samples = _samples_of(cells, rules, steps.period_us)
     if samples.time_us is not readings_us:

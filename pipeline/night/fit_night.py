@@ -29,12 +29,12 @@ from pipeline.night.cleaning import (
     means_too_long,
 )
 from pipeline.night.fit import REFERENCE, conditions, fit_modes, fit_stored_blocks, tolerances
-from pipeline.night.residuals import night_residuals
 from pipeline.night.rows import (
     Rows,
     coefficient_names,
     fit_columns,
     fit_rows,
+    night_residuals,
     night_row,
     of_fit,
     parameter_rows,
@@ -50,7 +50,6 @@ from pipeline.night.statistics import (
     sensor_ratio,
 )
 from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
-from pipeline.night.time_order import SharedStamps
 from pipeline.schema import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL, Row
 from pipeline.units import RUNNING_HOURS
 
@@ -167,12 +166,12 @@ def clean_channels(
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
     names = [name for name in file.channels if name != RUNNING_HOURS]
-    stamps, rests = SharedStamps(), NO_RESTS
+    rests = NO_RESTS
     cleaned: dict[str, CleanChannel] = {}
     # Each is taken out when it is its turn, the speed first: it says when the motor stood still.
     for name in sorted(names, key=lambda name: name != "speed"):
         rules = ChannelRules.of(name, file.channels[name], cleaning, file.logs)
-        cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, stamps, rests)
+        cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, rests)
         if name == "speed":
             rests = Rests.of(cleaned[name], cleaning.standstill_rpm)
     cleaned = {name: cleaned[name] for name in names}

@@ -7,22 +7,20 @@ averaged over a cell of the grid.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
-from pipeline.config import Cleaning, Settings, TimeBase
+from pipeline.config import Cleaning, SensorHealth, Settings, TimeBase
 from pipeline.config.nights import Night
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.halts import Zero, zeros_of_halts
 from pipeline.night.masks import ROUNDING, near, stretches, transient
-from pipeline.night.transport_delay import delay_inputs
+from pipeline.night.on_grid import delay_inputs, on_grid
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Leakage follows its inputs within less than the period of this rate.
@@ -33,19 +31,17 @@ TRANSIENTS = {"speed": 5.0, "pressure_difference": 50.0}
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 # The oil's own measurement: no sample needs it.
 VISCOSITIES = ("kinematic_viscosity", "dynamic_viscosity")
+# Channels of the low side, and of the case.
+LOW_SIDE, CASE = ("low_port_pressure", "charge_pressure"), "case_pressure"
+# Time left out after the motor has stopped, and credible samples that a halt needs after that.
+SETTLE_US, MINIMUM_US = 45 * SECOND_US, 20 * SECOND_US
+# |Pressure difference| of a halt that shows its zero; |low side over case| for the flow's.
+DEPRESSURISED_BELOW_BAR = 5.0
 # Arrays of `Samples`.
 OF_SAMPLES = (
     *("index", "time_us", "pressure_difference_bar"),
     *("oil_temperature_c", "speed_rpm", "leakage_l_per_min"),
 )
-# A channel with more than this many samples a cell of the grid is averaged, not interpolated.
-AVERAGE_ABOVE = 1.5
-# Share of a cell's samples that must be kept for its average.
-CELL_SHARE = 0.5
-# Samples in equal steps are filled in without a search where stretches of them are this long.
-EVEN_SAMPLES = 64
-# A mean stands for this share of its period on either side; half, and some for jitter.
-MEAN_REACH = 0.6
 
 
 class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
@@ -71,6 +67,14 @@ class Quality(NamedTuple):
     def of(cls, channel: str, reason: str, refused: Mask) -> Quality:
         """Return the count of a mask."""
         return cls(channel, reason, len(refused), int(np.count_nonzero(refused)))
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """Reading of a sensor while there is nothing to measure."""
+
+    value: float  # median over the halts of each halt's median, in the channel's unit
+    standard_error: float | None  # from the scatter between halts; None for fewer than three
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,116 +304,66 @@ JOINT_RULES: dict[str, Callable[[Together, Cleaning], Mask | None]] = {
 }
 
 
-class OnGrid(NamedTuple):
-    """A channel on the time base: values, where it has any, and where it is silent; (n,) each."""
+def zeros_of_halts(
+    standstill: Mask,
+    grid_us: Times,
+    channels: Mapping[str, CleanChannel],
+    settings: SensorHealth,
+) -> tuple[Zero | None, Zero | None]:
+    """Return the zeros of the pressure difference and the drain flow; None where no halt shows it.
 
-    value: Values
-    present: Mask
-    silent: Mask
-
-
-def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
-    """Return a channel on an even grid."""
-    n = len(grid_us)
-    if not n or not len(channel.time_us):
-        return OnGrid(np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_))
-    if channel.rules.hold:
-        return _held(channel, grid_us)
-    if channel.rules.mean_us > 0:
-        return _mean_of_its_period(channel, grid_us)
-    on_change = channel.rules.on_change
-    if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
-        return _averaged(channel, grid_us, period_us)
-    return _interpolated(channel, grid_us, period_us)
-
-
-# A refused value may be infinite.
-@np.errstate(over="ignore", invalid="ignore")
-def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
-    """Samples as they are at their own times, and lines between them; not beside a refused one."""
-    time = channel.time_us
-    # A zero has no sign here, at samples as between them.
-    known = channel.value + 0.0
-    known[channel.refused] = np.nan
-    value = np.full(len(grid_us), np.nan)
-    _fill_even(value, channel, known, int(grid_us[0]), period_us)
-    others = np.flatnonzero(np.isnan(value))
-    rows: NDArray[np.intp] | slice = slice(None)
-    if len(others) < len(value) // EVEN_SAMPLES:
-        # The samples around them will do, and not all are converted; one where there are none.
-        after = time.searchsorted(grid_us[others])
-        rows = np.unique(np.concatenate([[0], after - 1, after]).clip(0, len(time) - 1))
-    value[others] = np.interp(grid_us[others], time[rows], known[rows], left=np.nan, right=np.nan)
-    # Before the first sample, within gaps between two, and after the last it is silent.
-    gaps = channel.gaps
-    if channel.ends is not None:
-        gaps = np.union1d(gaps, np.flatnonzero(channel.ends[:-1]))
-    begins = [0, *grid_us.searchsorted([*time[gaps], time[-1]], "right").tolist()]
-    ends = [*grid_us.searchsorted([time[0], *time[gaps + 1]]).tolist(), len(grid_us)]
-    silent = np.zeros(len(grid_us), np.bool_)
-    for begin, end in zip(begins, ends, strict=True):
-        value[begin:end], silent[begin:end] = np.nan, True
-    return OnGrid(value, np.isfinite(value), silent)
-
-
-def _fill_even(
-    value: Values, channel: CleanChannel, known: Values, grid_start_us: int, period_us: int
-) -> None:
-    """Fill in samples in equal steps: the same values as by a search, in a fraction of the time."""
-    time, step_us = channel.time_us, int(channel.period_us or 0)
-    apart = step_us // period_us
-    edges = channel.steps.uneven
-    if not apart or step_us % period_us or len(edges) > len(time) // EVEN_SAMPLES:
-        return
-    for before, last in zip([-1, *edges.tolist()], [*edges.tolist(), len(time) - 1], strict=True):
-        place, beside = divmod(int(time[before + 1]) - grid_start_us, period_us)
-        first = before + 1 + max(-(place // apart), 0)
-        place += (first - before - 1) * apart
-        n = min(last - first, (len(value) - 1 - place) // apart)
-        if beside or n < 0:
+    Samples refused as frozen count: a sensor that has nothing to measure may well not move.
+    """
+    sides = {"pressure_difference": 1.0}
+    if "high_port_pressure" in channels:
+        sides = {"high_port_pressure": 1.0, "low_port_pressure": -1.0}
+    pressures: list[float] = []
+    flows: list[float] = []
+    begins, ends = stretches(standstill)
+    for first, last in zip(grid_us[begins].tolist(), grid_us[ends - 1].tolist(), strict=True):
+        begin, end = first + SETTLE_US, last
+        if end - begin < MINIMUM_US:
             continue
-        sample = known[first : first + n + 1]
-        if apart > 1:
-            lines = value[place : place + n * apart].reshape(n, apart)
-            np.multiply(np.diff(sample)[:, None] / step_us, np.arange(apart) * period_us, out=lines)
-            lines += sample[:-1, None]
-        value[place : place + n * apart + 1 : apart] = sample
+        flow = _readings(channels["leakage_flow"], begin, end)
+        ports = [(sign, _readings(channels[name], begin, end)) for name, sign in sides.items()]
+        if not len(flow) or not all(len(port) for _, port in ports):
+            continue
+        if any(np.ptp(port) > DEPRESSURISED_BELOW_BAR for _, port in ports):
+            continue
+        bar = sum(sign * float(np.median(port)) for sign, port in ports)
+        if abs(bar) <= DEPRESSURISED_BELOW_BAR:
+            pressures.append(bar)
+            if _is_relieved(channels, (begin, end), settings):
+                flows.append(float(np.median(flow)))
+    return _zero(pressures), _zero(flows)
 
 
-def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
-    """The last sample, while it is not older than the longest silence; none after a refused one."""
-    last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
-    known, last = last >= 0, np.maximum(last, 0)
-    silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
-    if channel.ends is not None:
-        silent |= channel.ends[last] & (channel.time_us[last] < grid_us)
-    present = ~silent & ~channel.refused[last]
-    return OnGrid(np.where(present, channel.value[last], np.nan), present, silent)
+def _is_relieved(
+    channels: Mapping[str, CleanChannel], halt: tuple[int, int], settings: SensorHealth
+) -> bool:
+    """Return True if the low side is known to be near case pressure, and the other port with it."""
+    low = next((name for name in LOW_SIDE if name in channels), None)
+    if settings.without_pressure_at_halts or low is None:
+        return settings.without_pressure_at_halts
+    port = _readings(channels[low], *halt)
+    case = _readings(channels[CASE], *halt) if CASE in channels else np.zeros(1)
+    if not len(port) or not len(case):
+        return False
+    return bool(abs(np.median(port) - np.median(case)) <= DEPRESSURISED_BELOW_BAR)
 
 
-def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> OnGrid:
-    """The mean in whose period a time lies: interpolated means would be averaged once more."""
-    time = channel.time_us
-    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(grid_us - time[left] < time[right] - grid_us, left, right)
-    reach = MEAN_REACH * channel.rules.mean_us
-    silent = np.abs(grid_us - time[nearest]) > reach
-    present = ~silent & ~channel.refused[nearest]
-    return OnGrid(np.where(present, channel.value[nearest], np.nan), present, silent)
+def _readings(channel: CleanChannel, begin_us: int, end_us: int) -> Values:
+    """Return readings in a stretch, below the sensor's maximum; none where it is too short."""
+    first, last = np.searchsorted(channel.time_us, [begin_us, end_us])
+    value, saturated = channel.value[first:last], channel.at_maximum[first:last]
+    readings: Values = value[np.isfinite(value) & ~saturated]
+    enough = len(readings) * (end_us - begin_us) >= MINIMUM_US * len(value)
+    return readings if enough else readings[:0]
 
 
-def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
-    n = len(grid_us)
-    cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
-    within = (cell >= 0) & (cell < n)
-    silent = np.bincount(cell[within], minlength=n) == 0
-    chosen = within & ~channel.refused
-    cell = cell[chosen]
-    counts = np.bincount(cell, minlength=n)
-    total = np.bincount(cell, weights=channel.value[chosen], minlength=n)
-    assert channel.period_us is not None
-    present = counts >= CELL_SHARE * period_us / channel.period_us
-    result = np.full(n, np.nan)
-    result[present] = total[present] / counts[present]
-    return OnGrid(result, present, silent)
+def _zero(halts: Sequence[float]) -> Zero | None:
+    """Return zero of some halts; None where there is none."""
+    if not halts:
+        return None
+    error = None if len(halts) < 3 else float(np.std(halts, ddof=1) / np.sqrt(len(halts)))
+    return Zero(float(np.median(halts)), error)

@@ -109,26 +109,6 @@ class Steps:
         return int(np.count_nonzero(jitter))
 
 
-class SharedStamps:
-    """Order and steps of the stamps that the channels of a table have in common."""
-
-    def __init__(self) -> None:
-        self._ordered: tuple[Times, Order] | None = None
-        self._steps: tuple[Times, Steps] | None = None
-
-    def order(self, time_us: Times) -> Order:
-        """As `order_of`, once for stamps that are the same."""
-        if self._ordered is None or not np.array_equal(self._ordered[0], time_us):
-            self._ordered = time_us, order_of(time_us)
-        return self._ordered[1]
-
-    def steps(self, time_us: Times) -> Steps:
-        """As `Steps.of`, once for the very same array."""
-        if self._steps is None or self._steps[0] is not time_us:
-            self._steps = time_us, Steps.of(time_us)
-        return self._steps[1]
-
-
 def backward_time(time_us: Times) -> Mask:
     """Return the fewest samples without which the clock increases."""
     mask = np.zeros(len(time_us), dtype=np.bool_)

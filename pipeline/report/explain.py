@@ -24,8 +24,7 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import UsageError
 from pipeline.messages import counted, plain, statement
 from pipeline.night.fit import scale_of
-from pipeline.night.residuals import explain_warm_up
-from pipeline.night.rows import coefficient_names
+from pipeline.night.rows import coefficient_names, explain_warm_up
 from pipeline.night.statistics import BLOCK_COLUMNS, StoredBlocks
 from pipeline.report.words import UNITS, conditions, of_model, refusal
 from pipeline.schema import (

@@ -37,7 +37,7 @@ from pipeline.night.column_change import (
     usual_readings,
 )
 from pipeline.night.fit_night import clean_channels, fit_night
-from pipeline.night.residuals import explain_warm_up
+from pipeline.night.rows import explain_warm_up
 from pipeline.night.sample_rows import strange_flow
 from pipeline.night.time_base import Insufficient, Samples
 from pipeline.schema import (

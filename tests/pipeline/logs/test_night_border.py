@@ -15,7 +15,8 @@ import pytest
 from pipeline.config import Channel, Cleaning, Settings, TimeBase, load_fleet
 from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import ChannelRules, CleanChannel, clean_channel
-from pipeline.night.time_base import Samples, bring_together, on_grid
+from pipeline.night.on_grid import on_grid
+from pipeline.night.time_base import Samples, bring_together
 from tests.pipeline.simulated import (
     NIGHT,
     SECOND_US,

@@ -24,7 +24,6 @@ from pipeline.night.masks import (
     transient,
 )
 from pipeline.night.time_order import (
-    SharedStamps,
     Steps,
     backward_time,
     written_late,
@@ -175,19 +174,6 @@ def test_times_that_are_left_are_strictly_increasing_and_all_are_counted(
     refused = cleaned.counts["backward_time"] + cleaned.counts["duplicate_time"]
     assert len(cleaned.time_us) + refused == len(time)
     assert cleaned.counts["any"] == refused + int(cleaned.refused.sum())
-
-
-def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> None:
-    """The stamps are compared: a table with other ones is not put in the first one's order."""
-    shared_stamps = SharedStamps()
-    first, other = stamps(50), stamps(50)
-    first[[20, 21]] = first[[21, 20]]
-    other[40] = other[39]
-    for time in (first, first.copy(), other, other.copy()):
-        alone = clean_channel(raw(time, lively(50)), RULES)
-        shared = clean_channel(raw(time, lively(50)), RULES, None, shared_stamps)
-        np.testing.assert_array_equal(shared.time_us, alone.time_us)
-        assert (shared.counts, shared.noted) == (alone.counts, alone.noted)
 
 
 @given(

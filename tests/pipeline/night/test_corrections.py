@@ -19,9 +19,9 @@ from leakage.physics.oil import (
 )
 from pipeline.config import Channel, MotorSpec, TransportDelay
 from pipeline.config.motor_types import OilSample
-from pipeline.night import transport_delay
+from pipeline.night import on_grid
 from pipeline.night.fit_night import NightOutcome, refit
-from pipeline.night.transport_delay import DELAYED, delay_inputs, delay_on_grid_s, shifted
+from pipeline.night.on_grid import DELAYED, delay_inputs, delay_on_grid_s, shifted
 from pipeline.schema import BLOCKS, frame
 from tests.pipeline.night.noise_free import (
     configured_flow,
@@ -78,8 +78,8 @@ def with_delay(folder: Path, keys: str) -> MotorSpec:
 def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(transport_delay, "FLOW_AVERAGE_S", 0.0)
-    monkeypatch.setattr(transport_delay, "MAXIMUM_DELAY_S", 15.0)
+    monkeypatch.setattr(on_grid, "FLOW_AVERAGE_S", 0.0)
+    monkeypatch.setattr(on_grid, "MAXIMUM_DELAY_S", 15.0)
     spec = with_delay(tmp_path, "line_length_m = 2.0\nline_inner_diameter_mm = 12.0\n")
     volume_l = 1000.0 * np.pi * 0.006**2 * 2.0
     flow = configured_flow(spec, OPERATION)

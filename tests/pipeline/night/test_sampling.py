@@ -15,7 +15,8 @@ from pipeline.config import MotorSpec, TimeBase
 from pipeline.config.logs import Logs
 from pipeline.night.cleaning import HAMPEL_THRESHOLD
 from pipeline.night.masks import flow_from_counts, out_of_range
-from pipeline.night.time_base import grid_period_us, on_grid
+from pipeline.night.on_grid import on_grid
+from pipeline.night.time_base import grid_period_us
 from pipeline.schema import FAILED, OK
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, from_canonical, to_canonical
 from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, refused_by, stamps

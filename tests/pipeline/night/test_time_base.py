@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US
 from pipeline.config import Cleaning, SensorHealth, Settings, TimeBase
 from pipeline.config.nights import Night
-from pipeline.night import time_base
 from pipeline.night.cleaning import CleanChannel
-from pipeline.night.halts import Zero, zeros_of_halts
+from pipeline.night.on_grid import EVEN_SAMPLES, on_grid
 from pipeline.night.time_base import (
     INPUTS,
     Quality,
     Samples,
+    Zero,
     bring_together,
     grid_period_us,
-    on_grid,
+    zeros_of_halts,
 )
 from tests.pipeline.night.channels import SECOND, STEP, Times, cleaned
 
@@ -214,7 +214,7 @@ EVEN_STAMPS = st.tuples(
     st.booleans(),
     st.booleans(),
     st.sampled_from([10.0, 20.0, 30.0, 50.0]),
-    st.sampled_from([2, time_base.EVEN_SAMPLES]),
+    st.sampled_from([2, EVEN_SAMPLES]),
 )
 def test_as_the_slow_definition(
     times: list[int],
@@ -235,7 +235,7 @@ def test_as_the_slow_definition(
     channel = replace(channel, rules=replace(channel.rules, on_change=on_change, hold=hold))
     grid = np.arange(-20, 420, 10, dtype=np.int64)
     # Also where the stretches are shorter than such as pay.
-    with patch.object(time_base, "EVEN_SAMPLES", even_samples):
+    with patch("pipeline.night.on_grid.EVEN_SAMPLES", even_samples):
         got, present, silent = on_grid(channel, grid, 10)
     expected, asleep = slow_definition(channel, grid, is_held=hold)
     assert silent.tolist() == asleep

@@ -12,7 +12,7 @@ import typer
 
 from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
-from pipeline.night.residuals import explain_warm_up
+from pipeline.night.rows import explain_warm_up
 from pipeline.report.explain import explain
 from pipeline.report.status import last_alarm
 from pipeline.report.words import STATES
