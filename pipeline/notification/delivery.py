@@ -1,20 +1,15 @@
-"""Deliveries and what takes them: a contract, a command of the user's own, what servers share."""
+"""Deliveries and what takes them: a contract, and a command of the user's own."""
 
 from __future__ import annotations
 
 import os
-import re
 import signal
-import ssl
 import subprocess
-import threading
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import BinaryIO, Protocol
 
-from pipeline.config.alarms import HEADER_VALUE, VARIABLE
 from pipeline.errors import one_line
 
 # Longest time for a delivery to a receiver [s].
@@ -102,58 +97,3 @@ class Command:
                     why = f"did not end within {self.deadline_s:g} s and was killed"
                     raise UndeliveredError(why, hung=True) from None
                 raise
-
-
-def talk(
-    to_server: Callable[[], None], words: Callable[[Exception], str], deadline_s: float
-) -> None:
-    """Talk to a server within a deadline; what that raises is reported in the words given.
-
-    A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
-    answer that comes byte by byte has a time limit of its own.
-
-    Raises UndeliveredError with those words, or at the deadline.
-    """
-    answers: list[str] = []
-
-    def ask() -> None:
-        try:
-            to_server()
-            answers.append("")
-        except Exception as error:  # the edge of the thread
-            answers.append(words(error))
-
-    thread = threading.Thread(target=ask, daemon=True)
-    thread.start()
-    thread.join(deadline_s)
-    if not answers:
-        raise UndeliveredError(f"no answer within {deadline_s:g} s", hung=True)
-    if answers[0]:
-        raise UndeliveredError(one_line(answers[0]))
-
-
-def fault_words(reason: object) -> str:
-    """A fault of a connection in words that quote nothing, as addresses may hold secrets."""
-    if isinstance(reason, ssl.SSLCertVerificationError):
-        return f"its certificate: {reason.verify_message}"
-    if isinstance(reason, OSError) and reason.strerror:
-        return reason.strerror
-    return type(reason).__name__
-
-
-def filled(setting: str, text: str) -> str:
-    """A value of `[alarms]` with its environment variables.
-
-    Raises UndeliveredError if any is not set, or holds characters that no header may; its content
-    is not quoted.
-    """
-
-    def content(match: re.Match[str]) -> str:
-        name = match[1]
-        value = os.environ.get(name, "")
-        if not HEADER_VALUE.fullmatch(value):
-            what = "holds characters that no header may have" if value else "is not set"
-            raise UndeliveredError(f"environment variable {name} of alarms.{setting} {what}")
-        return value
-
-    return VARIABLE.sub(content, text)

@@ -86,16 +86,15 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
     receivers: list[Receiver] = []
     if settings.command:
         receivers.append(Command(settings.command))
-    if settings.webhook_url:
-        from pipeline.notification.web_hook import WebHook
+    if settings.webhook_url or settings.email.to:
+        # Whose libraries take their time.
+        from pipeline.notification.servers import Mail, WebHook
 
-        receivers.append(
-            WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
-        )
-    if settings.email.to:
-        from pipeline.notification.mail import Mail
-
-        receivers.append(Mail(settings.email))
+        if settings.webhook_url:
+            of_hook = settings.webhook_url, settings.webhook_headers, settings.webhook_secret
+            receivers.append(WebHook(*of_hook))
+        if settings.email.to:
+            receivers.append(Mail(settings.email))
     return tuple(receivers)
 
 

@@ -20,7 +20,7 @@ from aiosmtpd.smtp import SMTP, AuthResult, Envelope, LoginPassword, Session
 
 from pipeline.config.alarms import Email
 from pipeline.notification.delivery import Delivery, UndeliveredError
-from pipeline.notification.mail import Mail
+from pipeline.notification.servers import Mail
 
 CERTIFICATE = Path(__file__).with_name("server.pem")
 PASSWORD = "correct horse"  # noqa: S105

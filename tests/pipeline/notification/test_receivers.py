@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from pipeline.notification.delivery import Command, Delivery, Receiver, UndeliveredError
-from pipeline.notification.web_hook import WebHook
+from pipeline.notification.servers import WebHook
 from tests.pipeline.notification.servers import Hook, hook, raw
 
 CONTENT = '{"reason": "; rm -rf $HOME `id` ñ"}'.encode()
