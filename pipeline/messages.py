@@ -14,6 +14,8 @@ import sys
 # Tells worker processes, which inherit it, in what form to speak.
 FORM = "MOTOR_LEAKAGE_MESSAGES"
 AS_JSON = "json"
+# A figure that there is not.
+ABSENT = "–"
 
 
 class JsonLine(logging.Formatter):
@@ -81,3 +83,19 @@ def as_sentence(words: str) -> str:
 def statement(sentence: str, advice: str) -> str:
     """What is reported of a motor and what to do, as pages, mail and terminal say it."""
     return " ".join(as_sentence(text) for text in (sentence, advice) if text)
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A figure with a number of significant digits, never in powers of ten above that.
+
+    Examples
+    --------
+    >>> figure(1.2345), figure(0.05), figure(999.6), figure(-123456.0), figure(-0.0)
+    ('1.23', '0.0500', '1000', '−123456', '0.00')
+    """
+    if value is None:
+        return ABSENT
+    rounded = float(f"{value:.{digits}g}") + 0.0  # no minus before a zero
+    is_large = abs(rounded) >= 10**digits
+    text = f"{value:.0f}" if is_large else f"{rounded:z#.{digits}g}"
+    return text.removesuffix(".").replace("-", "−")

@@ -158,7 +158,7 @@ def _run_line(fleet_state: FleetStatus) -> str | None:
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
     """Return cells of `LONG_COLUMNS`."""
-    from pipeline.report.words import figure
+    from pipeline.messages import figure
 
     row = motor.row
     leakage = row["own_leakage_l_per_min"]

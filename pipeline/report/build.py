@@ -7,7 +7,7 @@ import hashlib
 import json
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +22,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from leakage import AnnularGap
 from pipeline.config import Fleet
 from pipeline.errors import StoreError
-from pipeline.messages import as_sentence, plain
+from pipeline.messages import ABSENT, as_sentence, plain
+from pipeline.messages import figure as figure_words
 from pipeline.notification.outbox import backlogs, receivers_of
 from pipeline.report.charts import (
     fleet_span,
@@ -32,19 +33,10 @@ from pipeline.report.charts import (
     sparkline,
     watch_chart,
 )
-from pipeline.report.explain import EXPLAINED, paragraphs
+from pipeline.report.explain import EXPLAINED, conditions, of_model, paragraphs
 from pipeline.report.plotly_json import figure, script_json
 from pipeline.report.status import current_states
 from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
-from pipeline.report.words import (
-    ABSENT,
-    INDICATORS,
-    STATES,
-    candidates,
-    conditions,
-    of_model,
-)
-from pipeline.report.words import figure as figure_words
 from pipeline.schema import ALARMS, NIGHTS, PREDICTIONS, frame
 from pipeline.store.atomic_files import (
     TEMPORARY_PREFIX,
@@ -56,7 +48,7 @@ from pipeline.store.atomic_files import (
 from pipeline.store.tables import read_rows, table_folder
 from pipeline.trends.decisions import read_decisions
 from pipeline.trends.motor_states import ORDER, MotorState, urgency, what_of
-from pipeline.trends.sentences import change_of, part_of
+from pipeline.trends.sentences import cause_words, change_of, part_of
 
 FOLDER = Path(__file__).parent
 MANIFEST = "manifest.json"
@@ -65,6 +57,20 @@ CHART_LIBRARY = "assets/plotly.min.js"
 SHOWN_CHANGES = 200
 # Letters of such a change before it is opened.
 LONGEST_SUMMARY = 90
+INDICATORS = {
+    "pressure_zero": "zero of the pressure sensor",
+    "flow_zero": "zero of the flow sensor",
+}
+# A state has the name that the tables have; the pages say its meaning beside.
+STATES = {
+    "alarm": "the leakage is above the alarm level, or above the motor type's own limit",
+    "warning": "a change was detected and is in force",
+    "common_cause": "the other motors of the oil circuit have changed alike",
+    "stale": "no night with samples for long: the present state is unknown",
+    "removed": "in the config no more, and nobody has confirmed it",
+    "insufficient": "too few nights for a baseline, or to show a change",
+    "ok": "no change was detected; each motor says how small a step would have been",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +90,8 @@ class Folder:
 
     def __init__(self, path: Path, program: str) -> None:
         self.path, self.program = path, program
-        # Files that the report has now with a digest of what they are made from, and those of the
-        # last report.
+        # Files that the report has now, those of nights with a digest of what they are made from,
+        # and those of the last report.
         self.files: dict[str, str] = {}
         self.before: dict[str, str] = {}
         self.written: list[Path] = []
@@ -224,15 +230,6 @@ def _rows_of(
     }
 
 
-def _digest_of(rows: Mapping[str, pl.DataFrame]) -> str:
-    """Return a digest of rows by table; the run in them stands for what else it wrote."""
-    return _digest((name, int(of.hash_rows().sum())) for name, of in rows.items())
-
-
-def _digest(parts: Iterable[object]) -> str:
-    return hashlib.sha256(repr(list(parts)).encode()).hexdigest()[:16]
-
-
 def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """What a motor's page shows of a night: words as of `explain`, and a chart."""
     none = pl.DataFrame()
@@ -293,23 +290,14 @@ def _make_pages(
 def _make_motor_pages(
     output: Path, motors: Sequence[MotorHistory], facts: Mapping[str, Any], folder: Folder
 ) -> None:
-    """Make the pages of motors of which something has changed."""
+    """Make the motors' pages, each with its decisions and changes of state."""
     alarms = by_motor(read_rows(output, ALARMS, [motor.motor_id for motor in motors]))
     decisions = read_decisions(output)
     for motor in motors:
-        motor_id, spec = motor.motor_id, motor.spec
-        changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
-        own = [decision for decision in decisions if decision.motor_id == motor_id]
-        tables = {"nights": motor.rows, **motor.trends}
-        # What the page says nothing of leaves it as it is.
-        state = {name: of for name, of in motor.state.row.items() if name != "data_age_nights"}
-        parts = (state, motor.state.intraday, motor.reference, changes, own, facts)
-        stated = (spec.motor_type, spec.file) if spec else ()
-        digest = _digest([_digest_of(tables), parts, stated])
-        if not folder.keep(name := f"motors/{motor_id}.html", digest):
-            values = _motor_values(motor, changes)
-            page = page_of("motor.html", facts=facts, decisions=own, **values)
-            folder.write(name, page.encode(), digest)
+        own = [decision for decision in decisions if decision.motor_id == motor.motor_id]
+        values = _motor_values(motor, newest_changes(alarms.get(motor.motor_id, frame(ALARMS, []))))
+        page = page_of("motor.html", facts=facts, decisions=own, **values)
+        folder.write(f"motors/{motor.motor_id}.html", page.encode())
 
 
 def _motor_values(motor: MotorHistory, changes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -345,6 +333,11 @@ def _summary(change: Mapping[str, Any]) -> str:
     size = change_of(change)
     words = f"{size}{part}" if size else change["sentence"].partition(";")[0]
     return textwrap.shorten(words, LONGEST_SUMMARY, placeholder=" …")
+
+
+def candidates(causes: Sequence[Mapping[str, Any]] | None) -> list[tuple[str, float]]:
+    """Return causes in words with their probabilities, as a row of `nights` lists them."""
+    return [(cause_words(cause["cause"]), cause["probability"]) for cause in causes or ()]
 
 
 def page_of(template: str, **values: Any) -> str:

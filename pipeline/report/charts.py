@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from leakage.estimation.blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array, keep_extremes
 from pipeline.config.motors import Event
-from pipeline.messages import plain
+from pipeline.messages import figure, plain
 from pipeline.report.tables import MotorHistory
-from pipeline.report.words import figure
 from pipeline.trends.decisions import LEAKAGE
 from pipeline.trends.motor_states import what_of
 from pipeline.trends.sentences import DATED, cause_words

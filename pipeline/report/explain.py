@@ -22,11 +22,10 @@ from leakage.estimation.proven_minimum import Search, coefficients_at, free_para
 from pipeline.arrays import Array
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import UsageError
-from pipeline.messages import counted, plain, statement
+from pipeline.messages import counted, figure, plain, statement
 from pipeline.night.fit import scale_of
 from pipeline.night.rows import coefficient_names, explain_warm_up
 from pipeline.night.statistics import BLOCK_COLUMNS, StoredBlocks
-from pipeline.report.words import UNITS, conditions, of_model, refusal
 from pipeline.schema import (
     BLOCKS,
     ERROR_BUDGET,
@@ -38,8 +37,10 @@ from pipeline.schema import (
     PARAMETERS,
     PREDICTIONS,
     QUALITY,
+    QUALITY_REASONS,
     RESIDUAL_TESTS,
     Row,
+    model_verdict,
 )
 from pipeline.store.tables import read_rows
 from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
@@ -53,6 +54,13 @@ EXPLAINED = (
 # A rule that refused less than this is not worth a line.
 LEAST_REFUSED = 0.005
 LARGEST_EFFECTS = 5
+UNITS = {
+    "m3": "m³",
+    "um": "µm",
+    "l_per_min": "l/min",
+    "1": "",
+    "percent": "%",
+}
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -143,6 +151,12 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
         yield f"excluded samples of {plain(channel)}: {', '.join(parts)}"
 
 
+def refusal(code: str) -> str:
+    """Words of a rule that refuses samples."""
+    reason = QUALITY_REASONS.get(code)
+    return plain(code) if reason is None else reason.words
+
+
 def _state(own: Row) -> Iterator[str]:
     """State of the night, and what it rests on."""
     if own["state"] is None:
@@ -154,6 +168,11 @@ def _state(own: Row) -> Iterator[str]:
         evidence = "none" if own["evidence"] is None else f"ln R {own['evidence']:.1f}"
         limit = f"a change is detected above {own['evidence_limit']:.1f}"
         yield f"evidence of a change: {evidence}; {limit}"
+
+
+def of_model(model_error_percent: float) -> str:
+    """Return the verdict on a model by what it misses of the flow."""
+    return model_verdict(model_error_percent / 100.0)
 
 
 def _fit(own: Row, fit: Row, fits: list[Row]) -> Iterator[str]:
@@ -217,6 +236,13 @@ def _conditions(row: Row, kind: str) -> str:
     return conditions(
         *(row[f"{kind}_{quantity}"] for quantity in ("pressure_bar", "temperature_c", "speed_rpm"))
     )
+
+
+def conditions(
+    pressure_bar: float | None, temperature_c: float | None, speed_rpm: float | None
+) -> str:
+    """Return conditions of a leakage in words."""
+    return f"{figure(pressure_bar)} bar, {figure(temperature_c)} °C, {figure(speed_rpm)} rpm"
 
 
 def _figure(fit: Row) -> str:

@@ -40,7 +40,7 @@ from pipeline.night.cleaning import CHANNEL_RULES, Course
 from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Rows
 from pipeline.night.time_base import JOINT_RULES, Together
-from pipeline.report.words import refusal
+from pipeline.report.explain import refusal
 from pipeline.schema import QUALITY_REASONS, Reason
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.report.build import ReportResult, build_report
-from pipeline.report.words import STATES
+from pipeline.report.build import STATES, ReportResult, build_report
 from pipeline.schema import PREDICTIONS
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.report.conftest import change_table, demo_fleet, rows_with, rows_without

@@ -13,9 +13,9 @@ import typer
 from pipeline.cli.arguments import duration
 from pipeline.errors import UsageError
 from pipeline.night.rows import explain_warm_up
+from pipeline.report.build import STATES
 from pipeline.report.explain import explain
 from pipeline.report.status import last_alarm
-from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, frame
 from pipeline.trends.motor_states import ACTIONABLE, CHANGED, ORDER
 from tests.pipeline.report.conftest import change_table, rows_with
