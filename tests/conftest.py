@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -18,7 +18,7 @@ from hypothesis import settings
 
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
-settings.register_profile("quick", deadline=None, max_examples=30)
+settings.register_profile("quick", deadline=None, max_examples=20)
 
 # Where the system has Python write no bytecode, each process would compile the program anew.
 sys.dont_write_bytecode = False
@@ -93,20 +93,25 @@ def own_fleet(demo_folder: Path, tmp_path: Path, request: pytest.FixtureRequest)
     """Motors of the demo to be changed at will; output goes to ``out`` beside ``configs``."""
 
     def copy(*motors: str, fitted: bool = False, nights: int = DEMO_NIGHTS) -> Path:
-        shutil.copytree(demo_folder / "configs", tmp_path / "configs")
-        for file in (tmp_path / "configs" / "motors").iterdir():
-            if file.stem not in motors:
-                file.unlink()
-        for motor in motors:
-            logs = tmp_path / "demo" / "logs" / motor
-            logs.mkdir(parents=True)
-            for log in sorted((demo_folder / "demo" / "logs" / motor).iterdir())[-nights:]:
-                shutil.copy2(log, logs)
         if fitted:
             shutil.copytree(request.getfixturevalue("fitted_output"), tmp_path / "out")
-        return tmp_path / "configs" / "fleet.toml"
+        return copy_motors(demo_folder, tmp_path, motors, nights)
 
     return copy
+
+
+def copy_motors(demo: Path, folder: Path, motors: Sequence[str], nights: int = DEMO_NIGHTS) -> Path:
+    """Copy config and newest logs of some of the demo's motors; returns their fleet file."""
+    shutil.copytree(demo / "configs", folder / "configs")
+    for file in (folder / "configs" / "motors").iterdir():
+        if file.stem not in motors:
+            file.unlink()
+    for motor in motors:
+        logs = folder / "demo" / "logs" / motor
+        logs.mkdir(parents=True)
+        for log in sorted((demo / "demo" / "logs" / motor).iterdir())[-nights:]:
+            shutil.copy2(log, logs)
+    return folder / "configs" / "fleet.toml"
 
 
 def made_once(folder: Path, make: Callable[[Path], object]) -> Path:

@@ -5,13 +5,17 @@ The regressors of the gaps are of order 1e13 l/min per m³, the flow of order 1 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 
 Array = NDArray[np.float64]
+Generator = np.random.Generator
 
 
 def made_conditions(
@@ -45,3 +49,10 @@ def true_coefficients(motor: Motor) -> Array:
     """θ behind `made_samples`: the configured coefficients, then the constant flow or 0."""
     constant = 0.0 if motor.constant is None else motor.constant.configured_coefficient
     return np.array([*(path.configured_coefficient for path in motor.column_paths), constant])
+
+
+def autoregression(phi: float, n: int, generator: Generator) -> Array:
+    """Stationary AR(1) of unit variance."""
+    start = [phi * generator.normal()]
+    series, _ = lfilter([math.sqrt(1 - phi * phi)], [1.0, -phi], generator.normal(size=n), zi=start)
+    return np.asarray(series)

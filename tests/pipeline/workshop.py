@@ -18,7 +18,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, NIGHTS
 from pipeline.store.state import read_state_file
-from tests.pipeline.run.demo_runs import rows
+from tests.pipeline.calling import rows
 from tests.pipeline.simulated import FLEET, Operation, motor_toml, operate, write_configs, write_log
 
 DAY = dt.timedelta(days=1)

@@ -1,4 +1,4 @@
-"""Rows of nights as the files of a table."""
+"""Rows of nights as the files of a table, and what the state file of an output remembers."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
+from pipeline.logs.processed import ProcessedLogs, read_processed
 from pipeline.schema import Table
 from pipeline.store.atomic_files import put
 from pipeline.store.published import note
 from pipeline.store.publishing import Publisher
-from pipeline.store.state import open_state
+from pipeline.store.state import STATE_FILE, open_state
 from pipeline.store.tables import as_parquet, label_of, labelled_file, name_of
+from pipeline.trends.tasks import Record, read_records
 
 
 def night_file(output: Path, table: Table, night: dt.date) -> Path:
@@ -53,3 +56,27 @@ def write_nights(output: Path, table: Table, rows: pl.DataFrame) -> None:
         listed[name_of(output, path)] = None
     with open_state(output) as state:
         note(state, listed)
+
+
+# Files and folders of an output that outlive a run.
+LASTING = {
+    *("tables", "lock", "heartbeat.json", "views.sql", STATE_FILE),
+}
+
+
+def processed_of(output: Path, motor_id: str = "M1") -> ProcessedLogs:
+    """Record of processed logs of a motor."""
+    with open_state(output) as state:
+        return read_processed(state, motor_id)
+
+
+def record_of(output: Path, motor_id: str = "M1") -> Record | None:
+    """Record of a motor's trends."""
+    with open_state(output) as state:
+        return read_records(state).get(motor_id)
+
+
+def change(output: Path, statement: str, *values: Any) -> None:
+    """Change something of what is remembered."""
+    with open_state(output) as state:
+        state.write(statement, *values)

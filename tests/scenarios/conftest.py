@@ -76,8 +76,8 @@ OTHERS = (
     Simulated("aged", step(at=CHANGE, gap=0.06)),
     Simulated(
         "overhauled",
-        step(SLEEVE, at=1, gap=0.15, repaired_on=8),
-        lines=f'[[events]]\ndate = {FIRST + 7 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
+        step(SLEEVE, at=1, gap=0.15, repaired_on=6),
+        lines=f'[[events]]\ndate = {FIRST + 5 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
     ),
     Simulated(
         "flushed",
@@ -104,7 +104,7 @@ def shared_plant(shared_folder: Path) -> ScenarioFleet:
 @pytest.fixture(scope="session")
 def others(shared_folder: Path) -> ScenarioFleet:
     """Fitted motors whose change is no wear of a part; only to be read."""
-    return fitted_once(shared_folder / "scenario-others", OTHERS, 16)
+    return fitted_once(shared_folder / "scenario-others", OTHERS, 14)
 
 
 @pytest.fixture

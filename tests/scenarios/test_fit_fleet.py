@@ -88,6 +88,8 @@ def test_a_damaged_log_fails_its_night_alone_until_it_is_sound(small: ScenarioFl
     log = small.log("B", 2)
     sound = log.read_bytes()
     log.write_bytes(sound[: len(sound) // 2])
+    cut = small.log("A", 3)
+    cut.write_bytes(cut.read_bytes()[:-20])
     done = small.run("fit-fleet", "--json")
     assert done.code == 1
     motors = {motor["motor_id"]: motor for motor in done.events("motor")}
@@ -97,6 +99,8 @@ def test_a_damaged_log_fails_its_night_alone_until_it_is_sound(small: ScenarioFl
     assert failed == {small.label(2): motors["B"]["error_code"]}
     (listed,) = small.table("log_files").filter(pl.col("status") == "failed").to_dicts()
     assert (listed["path"], listed["error_code"]) == (f"B/{log.name}", motors["B"]["error_code"])
+    (of_cut,) = small.table("log_files").filter(path=f"A/{cut.name}").to_dicts()
+    assert "1 last row without a line end" in of_cut["message"]
     # An unchanged log is not tried again, but where that is asked for; it still stands as failed.
     for arguments, tried in (((), {}), (("--retry",), {"failed": 1})):
         again = small.run("fit-fleet", "--json", *arguments)
@@ -123,6 +127,7 @@ def test_a_late_and_a_changed_log_leave_what_a_run_at_once_does(tmp_path: Path) 
     rows[: rows.height // 2].write_parquet(halved)
     first = late.run("fit-fleet", "--json")
     assert first.events("motor")[0]["nights"] == {"ok": 10, "no_new_data": 1}
+    assert "h of log, 0.5 h in the nights before" in late.nights("M1")[8]["log_note"]
     for path, content in contents.items():
         path.write_bytes(content)
     second = late.run("fit-fleet", "--json")

@@ -71,7 +71,7 @@ def test_other_causes_are_not_taken_for_wear(others: ScenarioFleet, motor: str) 
     if onset is not None:
         assert newest["onset_earliest"] <= others.label(onset) <= newest["onset_latest"]
     if motor == "overhauled":
-        assert newest["baseline_start"] == others.label(8)
+        assert newest["baseline_start"] == others.label(6)
 
 
 def test_flushing_is_no_leakage(others: ScenarioFleet) -> None:

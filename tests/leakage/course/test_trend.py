@@ -20,7 +20,7 @@ from leakage.course.trend import (
     time_to_limit,
     whitened,
 )
-from tests.leakage.estimation.made_errors import autoregression
+from tests.leakage.made_samples import autoregression
 
 Array = NDArray[np.float64]
 

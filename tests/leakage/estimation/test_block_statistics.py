@@ -22,8 +22,12 @@ from leakage.estimation.blocks import (
     squared_error,
 )
 from leakage.estimation.validation import agreement, criteria, effective_sample_count
-from tests.leakage.estimation.made_errors import autoregression
-from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
+from tests.leakage.made_samples import (
+    autoregression,
+    made_conditions,
+    made_samples,
+    true_coefficients,
+)
 from tests.leakage.placeholders import placeholder_motor
 
 MOTOR = placeholder_motor(flushing="estimated", flushing_l_per_min=2.0)

@@ -17,7 +17,7 @@ from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import Motor, regressors, total_flow_l_per_min
 from leakage.physics.oil import FilmPressure
 from leakage.physics.paths import SpeedCurve
-from tests.leakage.estimation.made_errors import autoregression
+from tests.leakage.made_samples import autoregression
 from tests.leakage.placeholders import placeholder_motor, placeholder_oil
 
 Array = NDArray[np.float64]

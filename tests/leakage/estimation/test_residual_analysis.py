@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from leakage.estimation.residual_analysis import LagTest, analyse_residuals
 from leakage.estimation.transport_lag import transport_lag
-from tests.leakage.estimation.made_errors import Array, Generator, autoregression
+from tests.leakage.made_samples import Array, Generator, autoregression
 
 Places = NDArray[np.int64]
 

@@ -13,7 +13,7 @@ from leakage.watch import Comparison, Estimate, Watch, WatchSettings, compare
 from leakage.watch.circuit import circuit_change
 from tests.leakage.watch.made_machine import CB560, Plant, grown, of_flow, watched
 
-FIRST, BEGIN, N = 15, 25, 45
+FIRST, BEGIN, N = 15, 25, 35
 
 
 def test_change_is_the_median_of_the_others_and_an_own_part_each_with_its_error() -> None:
@@ -128,9 +128,9 @@ def probability(size: float, nights: int) -> float:
     return round(compare(CB560, every[:nights], every[nights:], WatchSettings()).probability, 6)
 
 
-@pytest.mark.parametrize("size", [0.05, 0.1, 0.2, 0.5])
+@pytest.mark.parametrize("size", [0.05, 0.5])
 def test_a_step_is_surer_the_more_nights_stand_on_each_side(size: float) -> None:
-    found = [probability(size, nights) for nights in (10, 14, 30, 60)]
+    found = [probability(size, nights) for nights in (10, 14, 40)]
     assert found == sorted(found)
     assert found[-1] > 0.99
     assert size < 0.1 or found[0] > 0.99

@@ -155,6 +155,8 @@ STORIES = {
     "once lighter": Story(Plant(growth=ONCE, load=half_load(20)), 45, None, 0.0, 0.06, (None,)),
     "season": Story(SEASON, 100, None, 0.0, 0.03, (None,)),
 }
+# Much like another one: in the full run.
+ALIKE = ("larger", "once lighter")
 UNSIZED = ("odd_nights", BACK, "temperature_effect")
 
 
@@ -164,7 +166,9 @@ def story(name: str, seed: int) -> tuple[Watch, ...]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", STORIES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.full] * (name in ALIKE)) for name in STORIES]
+)
 def test_what_happens_is_detected_named_dated_and_sized(name: str, seed: int) -> None:
     """Neither before it happens nor late; and no night contradicts its own interval (7c.2)."""
     truth, watches = STORIES[name], story(name, seed)
@@ -244,10 +248,10 @@ def test_an_odd_night_at_other_conditions_never_warns(apart: tuple[float, float]
 def test_odd_nights_again_and_again() -> None:
     """Detected by the third of them; by chance one of the seeds may take them for a step."""
     plant = Plant(growth=lambda night: 1.1 if night >= 25 and night % 3 == 0 else 1.0)
-    watches = [first_detected(watched(plant.nights(36, seed), first=FIRST)) for seed in range(1, 6)]
+    watches = [first_detected(watched(plant.nights(36, seed), first=FIRST)) for seed in range(1, 4)]
     changes = [watch.verdict().change for watch in watches if watch is not None]
     odd = [change for change in changes if change and change.cause == "odd_nights"]
-    assert len(odd) >= 4
+    assert len(odd) >= 2
     assert {(c.shape, c.since, c.detected_on) for c in odd} == {("now and then", 27, 33)}
     assert [change.size.value for change in odd] == pytest.approx([0.10] * len(odd), abs=0.02)
 
@@ -439,7 +443,8 @@ def crossed(nights: Sequence[NightBlocks], event: int, spread: float) -> list[Wa
 
 
 # Standing change, then change some nights after the event. The large one has a baseline of its own.
-BESIDE_EVENTS = [(0.0, 0.0, 0), (0.12, 0.0, 0), (0.3, 0.0, 0), (0.0, 0.12, 4), (0.0, 0.12, 12)]
+BESIDE_EVENTS = [(0.0, 0.0, 0), (0.12, 0.0, 0), (0.3, 0.0, 0), (0.0, 0.12, 4)]
+BESIDE_EVENTS += [pytest.param(0.0, 0.12, 12, marks=pytest.mark.full)]
 
 
 @pytest.mark.parametrize(("standing", "later", "after"), BESIDE_EVENTS)

@@ -131,12 +131,12 @@ REFUSED = [
 
 @pytest.mark.parametrize(("line", "code", "words"), REFUSED)
 def test_wrong_usage_is_refused(
-    call: Call, fleet: Path, monkeypatch: pytest.MonkeyPatch, line: str, code: int, words: str
+    call: Call, untouched: Path, monkeypatch: pytest.MonkeyPatch, line: str, code: int, words: str
 ) -> None:
-    monkeypatch.chdir(fleet.parents[1])
+    monkeypatch.chdir(untouched.parents[1])
     before = sorted(Path.cwd().rglob("*"))
     command, *options = shlex.split(line)
-    ended, out, err = call(command, fleet, *options)
+    ended, out, err = call(command, untouched, *options)
     assert (ended, out) == (code, "")
     assert words in err
     assert sorted(Path.cwd().rglob("*")) == before

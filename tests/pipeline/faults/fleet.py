@@ -21,10 +21,10 @@ from pipeline.schema import TABLES, Table
 from pipeline.store.published import TableFault, verify_tables
 from pipeline.store.state import STATE_FILE
 from pipeline.store.tables import files_of, name_of, read_table
-from tests.pipeline.remembered import LASTING, processed_of, record_of
-from tests.pipeline.run import demo_runs
+from tests.pipeline import calling
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
+from tests.pipeline.written import LASTING, processed_of, record_of
 
 # Of a process that imports the tests.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
@@ -63,7 +63,7 @@ class TinyFleet(Workshop):
         return made
 
     def run(self, output: Path, **execution: Any) -> RunResult:
-        return demo_runs.run(self.fleet, output=output, **execution)
+        return calling.run(self.fleet, output=output, **execution)
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def check_old_or_new(output: Path, old: Path, new: Path) -> None:
     """Every table file is whole, as it was or as it comes to be, and provable; no key twice."""
     now, before, after = (tables_in(folder) for folder in (output, old, new))
     for name in sorted(now.keys() | before.keys() | after.keys()):
-        if name.split("/")[0] not in demo_runs.OF_RUNS:
+        if name.split("/")[0] not in calling.OF_RUNS:
             assert any(same(now.get(name), state.get(name)) for state in (before, after)), name
     assert list(verify_tables(output)) == []
     for table in TABLES:
@@ -150,7 +150,7 @@ def check_tables(output: Path, expected: Path) -> None:
     """All tables are those of a run that nothing disturbed."""
     now, after = tables_in(output), tables_in(expected)
     for name in sorted(now.keys() | after.keys()):
-        if name.split("/")[0] not in demo_runs.OF_RUNS:
+        if name.split("/")[0] not in calling.OF_RUNS:
             assert same(now.get(name), after.get(name)), name
 
 

@@ -41,9 +41,8 @@ from tests.pipeline.faults.fleet import (
     rot,
     rot_of_footer,
 )
-from tests.pipeline.remembered import LASTING, change, processed_of
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.written import night_file
+from tests.pipeline.written import LASTING, change, night_file, processed_of
 
 pytestmark = pytest.mark.usefixtures("_quick")
 

@@ -93,7 +93,9 @@ def log_for(draw: random.Random, step_us: int) -> Recorded:
     return Recorded(T0_US + step_us * np.array(steps), readings)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize(
+    "seed", [*range(30), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(30, 60))]
+)
 def test_what_is_written_in_any_dialect_is_read_back(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)  # noqa: S311
     dialect, step_us = csv_dialect(draw)

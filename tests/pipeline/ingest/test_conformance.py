@@ -21,19 +21,28 @@ from pipeline.setup.sniff import sniff
 
 from .writers import FORMATS, NUMBERS_ONLY
 
+# The reader and the packer of others are damaged in the full run.
+DAMAGED = ("csv", "csv-gz", "parquet", "mcap-zstd", "mcap-bare", "mcap-cdr")
+
+
+def marks_of(form: Format, check: Check) -> list[pytest.MarkDecorator]:
+    is_quick = check is not damage_never_raises_anything_else or form.name in DAMAGED
+    return [] if is_quick else [pytest.mark.full]
+
+
 each_format = pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 
 
 @pytest.mark.parametrize(
     ("form", "check"),
     [
-        pytest.param(form, check, id=f"{form.name}-{check.__name__}")
+        pytest.param(form, check, id=f"{form.name}-{check.__name__}", marks=marks_of(form, check))
         for form in FORMATS
         # What damage does to text does not hang on its dialect.
         for check in checks_of(form)[: 6 if form.name == "csv-european" else None]
     ]
     + [
-        pytest.param(form, check, id=f"{form.name}-{check.__name__}")
+        pytest.param(form, check, id=f"{form.name}-{check.__name__}", marks=marks_of(form, check))
         for form in NUMBERS_ONLY
         for check in (every_sample_comes_back_to_the_last_digit, damage_never_raises_anything_else)
     ],

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import dialect, load_fleet
-from pipeline.ingest.conformance import Check, checks_of
+from pipeline.ingest.conformance import (
+    Check,
+    a_cut_file_is_an_error_or_its_whole_rows,
+    checks_of,
+)
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs
 from tests.pipeline.workshop import QUICK
@@ -18,6 +22,8 @@ pytest.importorskip("asammdf", reason="asammdf is of requirements/full.txt")
 sys.path.insert(0, str(Path(__file__).parents[3] / "examples" / "mdf4_reader"))
 
 import test_mdf4_reader as example
+
+A_LONG = a_cut_file_is_an_error_or_its_whole_rows
 
 
 @pytest.fixture(autouse=True)
@@ -34,7 +40,14 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("check", checks_of(example.MDF4), ids=lambda check: check.__name__)
+@pytest.mark.parametrize(
+    "check",
+    [
+        pytest.param(check, marks=[pytest.mark.full] * (check is A_LONG))
+        for check in checks_of(example.MDF4)
+    ],
+    ids=lambda check: check.__name__,
+)
 def test_the_example_conforms(check: Check, tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     folder.mkdir()

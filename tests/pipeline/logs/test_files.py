@@ -20,7 +20,16 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs.dates import with_known_nights
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
 from pipeline.logs.finding import FolderLogs, find_logs
-from pipeline.logs.processed import FileRecord
+from pipeline.logs.processed import (
+    FileRecord,
+    NightRecord,
+    ProcessedChange,
+    ProcessedLogs,
+    forget_nights,
+    read_processed,
+    write_change,
+)
+from pipeline.store.state import open_state
 
 UNITS = {
     "pressure_difference": "bar",
@@ -191,6 +200,19 @@ def test_a_night_is_half_open() -> None:
     found = slice_night([log_at(start - 1, start, end - 1, end)], HERE, {})["speed"]
     assert found.time_us.tolist() == [start, end - 1]
     assert found.missing.tolist() == [False, True]
+
+
+def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
+    """But for one with a fit, whose log may be gone."""
+    nights = {LABEL: NightRecord("ok"), LABEL + DAY: NightRecord("stood_still")}
+    file = FileRecord("A/1.csv", 2**60, 17, "ab" * 32, nights=("2026-01-02",), message="a\nb'%")
+    known = ProcessedLogs({file.path: file}, nights, {"reference": {"leakage": 0.1 + 0.2}})
+    with open_state(tmp_path) as state:
+        write_change(state, "A", ProcessedChange.between(read_processed(state, "A"), known))
+        assert read_processed(state, "A") == known
+        assert forget_nights(state, set(nights)) == {"A": {LABEL}}
+        left = ProcessedLogs({}, {LABEL: nights[LABEL]}, known.settings)
+        assert read_processed(state, "A") == left
 
 
 # Nights of files that cannot be read

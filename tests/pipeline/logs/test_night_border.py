@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -176,16 +175,6 @@ class TestFiles:
         (found,) = workshop.rows("parameters").filter(night=NIGHT + DAY, parameter="K_gap")["value"]
         expected = 8 * np.pi * 35.0e-3 * 8.0e-6**3 / (6 * 4.0e-3)
         assert found == pytest.approx(expected, rel=1e-9)
-
-    @pytest.mark.parametrize("borders", [[BORDER - 700, BORDER], [1000, BORDER + 95]])
-    def test_in_whatever_files(self, make: Make, log: Log, borders: list[int]) -> None:
-        in_one, in_parts = make(), make()
-        write(in_one, "all", slice(None), log)
-        for number, (begin, end) in enumerate(pairwise([0, *borders, 3600])):
-            write(in_parts, str(9 - number), slice(begin, end), log)
-        in_one.run()
-        assert dict(in_parts.run().counts) == {"ok": 2}
-        check_same_figures(in_one, in_parts, "log_files")
 
     def test_a_correction_of_the_night_before_that_reaches_over_the_border_redoes_both(
         self, make: Make, log: Log

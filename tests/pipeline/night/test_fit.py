@@ -100,17 +100,6 @@ def test_a_good_night_has_verdicts_intervals_and_shares(spec: MotorSpec) -> None
         assert rows[name]["lower"] < rows[name]["value"] < rows[name]["upper"]
 
 
-def test_a_share_that_is_known_too_poorly_has_no_value(spec: MotorSpec) -> None:
-    """In a short night of a rough sensor the two balancing gaps cannot be distinguished."""
-    short = operate(minutes=20.0)
-    flow = configured_flow(spec, short) + white(len(short.time_us), sd=1.0)
-    rows = parameters(fitted(spec, short, np.maximum(flow, 0.01)))
-    shares = {name: row for name, row in rows.items() if name.startswith("share_")}
-    unknown = {name for name, row in shares.items() if row["verdict"] == "not_identified"}
-    assert unknown == {"share_balance_piston", "share_balance_sleeve"}
-    assert all((row["value"] is None) == (name in unknown) for name, row in shares.items())
-
-
 def test_slow_errors_are_estimated_reported_and_allowed_for(spec: MotorSpec) -> None:
     drift = lfilter([1.0], [1.0, -np.exp(-0.1 / 900.0)], white(N, 1.0, seed=3))
     truth = configured_flow(spec, LONG) + white(N)
@@ -287,17 +276,6 @@ def test_a_night_without_a_fit_has_one_row_that_says_why(
     assert not row.keys() & {"window_start", "fitted_leakage_l_per_min"}
     assert not found.rows.keys() & {"parameters", "predictions"}
     assert ("quality" in found.rows) == all(len(values) for values in changed.values())
-
-
-@pytest.mark.parametrize(("minutes", "is_enough"), [(5.0, False), (5.1, True)])
-def test_five_minutes_of_training_are_needed(
-    spec: MotorSpec, minutes: float, is_enough: bool
-) -> None:
-    """Blocks that begin in the first four fifths train: two of 2 minutes, or all three."""
-    short = operate(minutes=minutes)
-    found = fit(spec, short, simulate(spec, short))
-    assert found.status == (OK if is_enough else INSUFFICIENT_DATA)
-    assert is_enough or "4.0 minutes" in (found.reason or "")
 
 
 COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'

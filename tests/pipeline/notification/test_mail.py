@@ -140,26 +140,6 @@ def test_a_message_says_what_since_when_what_to_do_and_where_to_read_on() -> Non
     ]
 
 
-def test_a_summary_has_every_motor_and_its_sentence() -> None:
-    motors = [
-        {"motor_id": "CB400-02", "state": "alarm", "sentence": "ring worn", "advice": "Inspect."},
-        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change", "advice": "Nothing."},
-    ]
-    for motor, change in zip(motors, (30, 0), strict=True):
-        motor["headline"] = f"leakage +{change} %"
-    mail = mailed(*motors, kind="summary")
-    assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
-    assert mail.get_content().splitlines() == [
-        "CB400-02: alarm",
-        "  Leakage +30 %. Inspect.",
-        "  Ring worn.",
-        "",
-        "CB400-01: ok",
-        "  Leakage +0 %. Nothing.",
-        "  No change.",
-    ]
-
-
 def test_a_name_in_a_log_adds_no_header() -> None:
     mail = mailed(change("CB\nBcc: x@y.example", "2026-02-09", "ok", "alarm", "\n.\nMAIL FROM:<x>"))
     assert mail["Bcc"] is None

@@ -15,8 +15,17 @@ import polars as pl
 import pytest
 
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import Call, change, contents, without_workers
-from tests.pipeline.run.demo_runs import CSV, FIRST, PARQUET, output_of, table_files
+from tests.pipeline.calling import (
+    CSV,
+    FIRST,
+    PARQUET,
+    Call,
+    change,
+    contents,
+    output_of,
+    table_files,
+    without_workers,
+)
 from tests.pipeline.s3_server import BUCKET, URL, Request, Server, Stored, never, upload
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 

@@ -16,8 +16,7 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
 from tests.conftest import OwnFleet
-from tests.pipeline.dask_processes import Processes
-from tests.pipeline.run.demo_runs import (
+from tests.pipeline.calling import (
     CSV,
     MOTORS,
     PARQUET,
@@ -26,6 +25,7 @@ from tests.pipeline.run.demo_runs import (
     status_of,
     table_files,
 )
+from tests.pipeline.dask_processes import Processes
 
 
 def test_one_after_the_other_and_two_workers_write_the_same_bytes_wherever_they_lie(

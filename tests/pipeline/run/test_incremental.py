@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -191,53 +191,6 @@ def test_a_run_with_nothing_new_starts_no_worker(
     (outcome,) = run_fleet(RunRequest(fleet)).outcomes
     assert (outcome.status, outcome.nights) == ("no_new_data", ())
     assert outcome.files == {"unchanged": len(NIGHTS)}
-
-
-def of_another_time(workshop: Workshop) -> None:
-    os.utime(workshop.logs / f"{FIRST}.parquet", ns=(1, 1))
-
-
-def another_of_the_same_name(workshop: Workshop) -> None:
-    path = workshop.logs / f"{FIRST}.parquet"
-    shutil.copy2(path, workshop.logs / "copy")
-    (workshop.logs / "copy").replace(path)
-
-
-def one_more(workshop: Workshop) -> None:
-    (workshop.logs / "new.parquet").touch()
-
-
-def one_that_is_named_and_absent(workshop: Workshop) -> None:
-    workshop.configure(files='"M1/*.parquet", "M1/absent.parquet"')
-
-
-def no_log_at_all(workshop: Workshop) -> None:
-    shutil.rmtree(workshop.logs)
-
-
-def another_setting(workshop: Workshop) -> None:
-    text = workshop.fleet.read_text("utf-8")
-    workshop.fleet.write_text(text + "[reference]\npressure_bar = 210.0\n", "utf-8")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        of_another_time,
-        another_of_the_same_name,
-        one_more,
-        one_that_is_named_and_absent,
-        no_log_at_all,
-        another_setting,
-    ],
-)
-def test_a_motor_with_news_is_left_to_its_task(
-    workshop: Workshop, change: Callable[[Workshop], None]
-) -> None:
-    workshop.run()
-    assert unchanged(HERE, workshop.task()) == 1
-    change(workshop)
-    assert unchanged(HERE, workshop.task()) == 0
 
 
 def test_logs_that_do_not_answer_are_left_to_the_tasks(

@@ -18,11 +18,9 @@ STAMPS = operate(minutes=20.0).time_us
 # Values by kind of nonsense.
 ODD: dict[str, Values] = {
     "constant": np.full(1200, 1.5),
-    "zero": np.zeros(1200),
     "nan": np.full(1200, np.nan),
     "infinite": np.full(1200, np.inf),
     "largest": np.where(AT % 2, 1.7e308, -1.7e308),
-    "smallest": AT * 1e-310,
     "two values": AT % 2 * 1.0,
     "one sample": np.where(AT == 600, 1.5, np.nan),
 }
@@ -58,8 +56,8 @@ def words_of(called: Called) -> str:
     ("kind", "rows", "times", "counted"),
     [
         *((kind, 1200, "sound", kind == "infinite") for kind in ODD),
-        *(("sound", rows, "sound", True) for rows in (1, 2, 31)),
-        *(("sound", 1200, times, False) for times in TIMES),
+        *(("sound", rows, "sound", True) for rows in (1, 31)),
+        *(("sound", 1200, times, False) for times in ("all alike", "backwards", "uneven")),
     ],
 )
 def test_check_and_init_of_any_log(

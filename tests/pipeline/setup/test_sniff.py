@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import random
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -50,7 +51,11 @@ TIMES = (
 )
 
 
-@pytest.mark.parametrize("form", TIMES)
+# Every other form in the full run: each draws its dialect at random.
+FORMS = [pytest.param(form, marks=[pytest.mark.full] * (n % 2)) for n, form in enumerate(TIMES)]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_any_dialect_reads_back_what_was_written(tmp_path: Path, form: str) -> None:
     """Each form of time with marks, encodings, line ends and places of units drawn at random."""
     draw = random.Random(form).choice  # noqa: S311
@@ -171,6 +176,17 @@ def test_of_several_encodings_that_of_the_most_known_words(
     path = log_in(tmp_path, f"{header}\n{rows}".encode(encoding))
     (motor,) = propose(path, {"time_zone": "UTC"}).motors
     assert (motor.logs["encoding"], len(motor.channels)) == (encoding, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("absent", "log_missing"), (".", "log_not_readable"), ("pipe", "log_not_readable")],
+)
+def test_what_is_no_file(tmp_path: Path, name: str, code: str) -> None:
+    """A pipe would hold up who opens it."""
+    os.mkfifo(tmp_path / "pipe")
+    with refused(code):
+        sniff(tmp_path / name)
 
 
 # Parquet

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli.state import fleet_lines
 from pipeline.errors import StoreError
-from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import Beat, Heartbeat, heartbeat_file, read_heartbeat
 
 
@@ -75,21 +73,3 @@ def test_what_is_no_beat_is_none(tmp_path: Path, text: str) -> None:
         text = json.dumps(document | {"beaten_at": "2026-03-01T07:00:00"})
     heartbeat_file(tmp_path).write_text(text, "utf-8")
     assert read_heartbeat(tmp_path) is None
-
-
-@pytest.mark.parametrize(
-    ("state", "age_s", "words"),
-    [
-        ("running", 1, "a run is under way since "),
-        ("running", 61, "died or hangs: last heartbeat "),
-        ("failed", 999, "failed (store_write), 2 of 3 motors done"),
-        ("finished", 999, "; the run of "),
-    ],
-)
-def test_what_status_says_of_a_run(state: str, age_s: int, words: str) -> None:
-    at = dt.datetime.now(dt.UTC) - dt.timedelta(seconds=age_s)
-    code = "store_write" if state == "failed" else None
-    beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
-    lines = [*fleet_lines(FleetStatus((), None, beat), too_old=False, is_silent=False)]
-    assert lines[0].startswith("last run without a failure: never")
-    assert words in lines[-1]

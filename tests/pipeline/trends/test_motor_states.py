@@ -12,12 +12,10 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from pipeline.schema import LATEST, NIGHTS, frame
-from pipeline.store.state import read_state_file
+from pipeline.schema import LATEST, NIGHTS
 from pipeline.store.tables import whole_file
 from pipeline.trends.decisions import Decision, read_decisions, record_decision
 from pipeline.trends.motor_states import MotorState, published_states
-from pipeline.trends.tasks import NewestNight, newest_night_of
 from tests.pipeline.trends.nights import (
     DAY,
     Nights,
@@ -31,7 +29,6 @@ from tests.pipeline.trends.nights import (
     step,
 )
 from tests.pipeline.workshop import Workshop
-from tests.pipeline.written import write_nights
 
 MOTORS = ("M1", "M2")
 N, AT = 20, 14
@@ -122,38 +119,6 @@ def test_a_log_of_no_night_is_reported_once_and_stands_in_one_row(workshop: Work
     assert workshop.run().status == "ok"
     newest = workshop.rows("log_files").filter(status="failed")
     assert newest.select("path", "night").rows() == [("M1/x_2099-01-01.parquet", None)]
-
-
-KEPT = [(0, "M1", "ok", 8.0), (1, "M2", "insufficient_data", 0.5), (2, "M1", "stood_still", 0.0)]
-NONE_KEPT = [(3, "M3", "ok", 8.0), (4, "M2", "failed", None), (5, "M2", "no_new_data", None)]
-
-
-@pytest.mark.parametrize(
-    ("rows", "latest", "expected"),
-    [
-        # Of M3, which is of no fleet any more, nothing counts; of others a motor's own samples do.
-        (KEPT + NONE_KEPT, 9, NewestNight(night_of(1), {"M1": night_of(2), "M2": night_of(1)})),
-        # No night of the future is the newest.
-        ([KEPT[0], (7, "M1", "ok", 8.0)], 6, NewestNight(night_of(0), {"M1": night_of(7)})),
-        (KEPT[:1], -1, None),
-    ],
-)
-def test_the_newest_night_is_that_of_which_samples_are_kept(
-    tmp_path: Path,
-    rows: list[tuple[int, str, str, float | None]],
-    latest: int,
-    expected: NewestNight | None,
-) -> None:
-    """Rows of nights by place, motor, outcome and kept hours."""
-    for place, motor_id, status, hours in rows:
-        night = night_of(place)
-        last_sample = dt.datetime.combine(night, dt.time(12), dt.UTC) if hours else None
-        row = {"motor_id": motor_id, "night": night, "status": status, "last_sample": last_sample}
-        write_nights(tmp_path, NIGHTS, frame(NIGHTS, [row]))
-    with read_state_file(tmp_path) as state:
-        newest = newest_night_of(state, MOTORS, night_of(latest))
-    assert newest == expected
-    assert newest is None or newest.of("M4") == newest.night
 
 
 WHEN = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)

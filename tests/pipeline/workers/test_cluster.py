@@ -82,6 +82,7 @@ def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting(
         assert code_of(execution).code == "scheduler_unreachable"
 
 
+@pytest.mark.full
 def test_a_scheduler_without_workers_and_one_that_is_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
