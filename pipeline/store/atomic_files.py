@@ -11,7 +11,6 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import BinaryIO
@@ -28,33 +27,8 @@ INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 Write = Callable[[BinaryIO], object] | bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """A temporary file in the folder of its place, flushed."""
-
-    path: Path  # its place
-    temporary: Path  # the file
-
-    def land(self) -> None:
-        """Rename it to its place; its folder is still to be flushed.
-
-        Raises StoreError if that fails; the place then holds the old file, or already the new.
-        """
-        with store_errors(self.path):
-            try:
-                self.temporary.replace(self.path)
-            except BaseException:
-                self.drop()
-                raise
-
-    def drop(self) -> None:
-        """Remove it; its place stays as it is."""
-        with suppress(OSError):
-            self.temporary.unlink()
-
-
-def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
-    """Write a temporary file in the folder of its place, and flush it.
+def prepare(path: Path, write: Write, *, durable: bool = True) -> Path:
+    """Return a temporary file in the folder of its place, written and flushed.
 
     Raises StoreError if it cannot be written; nothing is left of it.
     """
@@ -69,25 +43,34 @@ def prepare(path: Path, write: Write, *, durable: bool = True) -> Prepared:
                 if durable:
                     os.fsync(stream.fileno())
         except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
+            drop(temporary)
             raise
-    return Prepared(path, temporary)
+    return temporary
 
 
 def put(path: Path, write: Write, *, durable: bool = True) -> None:
     """Write a file whole or not at all, and the folders above it.
 
-    One that is not `durable` need not survive a power cut. If only the last flush, of its folder,
-    fails, the new file may be there already.
+    One that is not `durable` need not survive a power cut.
 
     Raises StoreError if it cannot be written; the old file then stays. If only the last flush, of
     its folder, fails, the new file may be there already.
     """
-    prepare(path, write, durable=durable).land()
-    if durable:
+    temporary = prepare(path, write, durable=durable)
+    try:
         with store_errors(path):
-            flush_path(path.parent)
+            temporary.replace(path)
+            if durable:
+                flush_path(path.parent)
+    except BaseException:
+        drop(temporary)
+        raise
+
+
+def drop(temporary: Path) -> None:
+    """Remove a temporary file that has not been renamed to its place."""
+    with suppress(OSError):
+        temporary.unlink()
 
 
 def make_folders(folder: Path) -> None:

@@ -12,20 +12,20 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
+from typing import Any, NamedTuple
 
 import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
 from pipeline.schema import TABLES, TIMESTAMP, Table, frame, staged_table
-from pipeline.store.atomic_files import Prepared, flush_path, prepare, put, store_errors
+from pipeline.store.atomic_files import drop, flush_path, prepare, put, store_errors
 from pipeline.store.published import NO_FILE, announce, note, set_aside, verify_file
 from pipeline.store.state import StateDatabase
 from pipeline.store.tables import (
@@ -134,13 +134,12 @@ def read_staged(
     return rows, pl.DataFrame(done, schema=key, orient="row")
 
 
-@dataclass(frozen=True, slots=True)
-class NewFile:
-    """A table file as it comes to be; nothing is prepared where it stays as it is."""
+class NewFile(NamedTuple):
+    """A table file as it comes to be; there is no temporary one where it stays as it is."""
 
     path: Path
     sha256: str | None  # None if there is neither a file nor a row
-    prepared: Prepared | None = None
+    temporary: Path | None = None
 
 
 @dataclass(slots=True)
@@ -226,23 +225,28 @@ class Publisher:
         self, files: Iterable[NewFile], published: Callable[[], object] = lambda: None
     ) -> None:
         """Prepare files, put them into their places, and note them before and afterwards."""
-        named: dict[str, NewFile] = {}
-        with ExitStack() as undone:
+        digests: dict[str, str | None] = {}
+        temporaries: dict[Path, Path] = {}
+        try:
             for file in files:
-                if file.prepared is not None:
-                    undone.callback(file.prepared.drop)
-                named[name_of(self.state.output, file.path)] = file
-            new = {name: its.prepared for name, its in named.items() if its.prepared is not None}
-            announce(self.state, {name: named[name].sha256 for name in new})
-            for prepared in new.values():
-                prepared.land()
-            for folder in sorted({prepared.path.parent for prepared in new.values()}):
+                digests[name_of(self.state.output, file.path)] = file.sha256
+                if file.temporary is not None:
+                    temporaries[file.path] = file.temporary
+            names = [name_of(self.state.output, path) for path in temporaries]
+            announce(self.state, {name: digests[name] for name in names})
+            for path, temporary in temporaries.items():
+                with store_errors(path):
+                    temporary.replace(path)
+            for folder in sorted({path.parent for path in temporaries}):
                 with store_errors(folder):
                     flush_path(folder)
             with self.state.transaction():
-                note(self.state, {name: its.sha256 for name, its in named.items()})
+                note(self.state, digests)
                 published()
-            undone.pop_all()
+        except BaseException:
+            for temporary in temporaries.values():
+                drop(temporary)
+            raise
 
 
 def _new_file(path: Path, rows: pl.DataFrame, before: str | None) -> NewFile:
@@ -258,19 +262,10 @@ def _with_rows(
     table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
 ) -> pl.DataFrame:
     """Rows that are there with new ones, in place of those of the same key and of some others."""
-    before, within, after = present.clear(), present, present.clear()
-    if replaced is not None and "night" in table.key:
-        # Other nights lie before and after them, and are neither copied nor sorted.
-        span = [pl.col("night").min().alias("first"), pl.col("night").max().alias("last")]
-        first, last = replaced.select(span).row(0)
-        begin = present["night"].search_sorted(first, "left")
-        end = present["night"].search_sorted(last, "right")
-        before, within, after = present[:begin], present[begin:end], present[end:]
-    else:
-        within = within.join(rows, on=list(table.key), how="anti")
+    others = present.join(rows, on=list(table.key), how="anti")
     if replaced is not None:
-        within = within.join(replaced, on=replaced.columns, how="anti")
-    return pl.concat([before, pl.concat([within, rows]).sort(table.order), after])
+        others = others.join(replaced, on=replaced.columns, how="anti")
+    return pl.concat([others, rows]).sort(table.order)
 
 
 def write_views(output: Path) -> None:

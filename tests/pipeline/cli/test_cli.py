@@ -18,7 +18,7 @@ import pytest
 import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
-from pipeline.store.atomic_files import Prepared, prepare
+from pipeline.store.atomic_files import prepare
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, change, without_workers
 
@@ -30,7 +30,7 @@ def test_143_while_publishing(
 ) -> None:
     came: list[int] = []
 
-    def interrupted(*arguments: Any) -> Prepared:
+    def interrupted(*arguments: Any) -> Path:
         if not came:
             came.append(signal.SIGTERM)
             os.kill(os.getpid(), signal.SIGTERM)
