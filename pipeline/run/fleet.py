@@ -28,6 +28,7 @@ from pipeline.logs.finding import find_logs, legible
 from pipeline.logs.processed import FileRecord, read_processed
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import open_outbox, receivers_of
+from pipeline.run import publishing
 from pipeline.run.night_plan import NightPlan
 from pipeline.run.notification import deliver_alarms, settle_intraday, write_run_metrics
 from pipeline.run.output import (
@@ -37,16 +38,6 @@ from pipeline.run.output import (
     find_damage,
     forget_lost,
     require_own_output,
-)
-from pipeline.run.publishing import (
-    STAGES,
-    make_trends,
-    publish_motors,
-    publish_other_nights,
-    publish_run,
-    publish_trends,
-    publish_whole_tables,
-    run_id_of,
 )
 from pipeline.run.tasks import (
     MotorOutcome,
@@ -181,7 +172,7 @@ class _Run:
     damage: tuple[TableFault, ...] = ()
     refitted: Nights = field(default_factory=dict)  # those with a fit whose rows are lost
     is_stopped: bool = False  # by a signal
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(publishing.STAGES, 0.0))
 
     @contextmanager
     def _step(self, stage: str, seconds: str = "", *, is_whole: bool = True) -> Iterator[None]:
@@ -213,13 +204,13 @@ class _Run:
                 self.heartbeat.motor_done()
                 progress(outcome)
         self.outcomes.sort(key=lambda outcome: outcome.motor_id)
-        run_id = run_id_of(self.outcomes, request.specs)
+        run_id = publishing.run_id_of(self.outcomes, request.specs)
         self.publisher = replace(self.publisher, run_id=run_id)
 
     def publish_nights(self) -> None:
         """Publish what the motors' tasks have staged."""
         with self._step("publishing", "publish_s"):
-            self.n_nights = publish_motors(self.publisher, self.outcomes)
+            self.n_nights = publishing.publish_motors(self.publisher, self.outcomes)
 
     def stage_trends(self) -> None:
         """Stage the trends of the motors, but where the run is stopped."""
@@ -227,16 +218,18 @@ class _Run:
         with self._step("trends", "trends_s", is_whole=False):
             if not self.is_stopped:
                 fleet, clock = self.request.fleet, self.request.clock
-                self.trends = make_trends(fleet, clock, self.publisher, self.workers, changed)
+                self.trends = publishing.make_trends(
+                    fleet, clock, self.publisher, self.workers, changed
+                )
 
     def publish_tables(self) -> None:
         """Publish the trends, nights without any, and the tables of a single file."""
         with self._step("trends", "trends_s"):
-            self.alarms = tuple(publish_trends(self.publisher, self.trends))
+            self.alarms = tuple(publishing.publish_trends(self.publisher, self.trends))
             if not self.is_stopped:
                 motor_ids = [outcome.motor_id for outcome in self.outcomes]
-                publish_other_nights(self.publisher, motor_ids)
-            publish_whole_tables(self.publisher, self.request.fleet)
+                publishing.publish_other_nights(self.publisher, motor_ids)
+            publishing.publish_whole_tables(self.publisher, self.request.fleet)
             losses = {name: loss for made in self.trends for name, loss in made.failures.items()}
             self.outcomes = [
                 _with_trends(outcome, losses.get(outcome.motor_id)) for outcome in self.outcomes
@@ -259,7 +252,7 @@ class _Run:
             damage_left=tuple(damage_left(self.damage, self.refitted, made)),
         )
         with self._step("recording"):
-            publish_run(self.publisher, self.request, result, self.started)
+            publishing.publish_run(self.publisher, self.request, result, self.started)
         settle_intraday(self.request.fleet, self.publisher.state)
         publish_decisions(self.publisher.state, self.publisher.run_id)
         return replace(result, interrupted=self.is_stopped)
