@@ -165,8 +165,8 @@ def test_the_historian_s_log_is_one_that_the_config_takes() -> None:
     assert Logs.model_validate(tables).layout == "long"
     (keys,) = example["channels"].values()
     channel = Channel.model_validate(keys)
-    settings = (channel.sampling, channel.between, channel.quality_good)
-    assert settings == ("on_change", "hold", (192,))
+    settings = (channel.sampling, channel.quality_good)
+    assert settings == ("hold", (192,))
 
 
 def test_the_receivers_of_the_page_on_results_are_a_config() -> None:

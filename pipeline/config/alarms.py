@@ -12,6 +12,8 @@ from pydantic import AfterValidator, Field
 
 from pipeline.config.section import Misfit, Positive, Section, Stage, left_out
 
+# Ports of a mail server, where it states none: with STARTTLS, over TLS, and without encryption.
+MAIL_PORTS = {"": 587, "smtps": 465, "smtp": 25}
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 # An environment variable in a value.
 VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
@@ -72,16 +74,17 @@ def is_mail_address(address: str) -> bool:
         return False
 
 
-def mail_server(server: str) -> tuple[str, int | None] | None:
-    """Host and port of ``host`` or ``host:port``, the port None if it is not stated; or None."""
+def mail_server(server: str) -> tuple[str, str, int] | None:
+    """Return encryption (a key of `MAIL_PORTS`), host and port of a mail server, or None."""
+    scheme, _, place = server.rpartition("://")
     try:
-        parts = urlsplit(f"//{server}")
+        parts = urlsplit(f"//{place}")
         host, port = parts.hostname, parts.port
     except ValueError:
         return None
-    if not host or port == 0 or not ADDRESS.fullmatch(server) or set(server) & set("/@?#"):
+    if not host or port == 0 or not ADDRESS.fullmatch(place) or set(place) & set("/@?#"):
         return None
-    return host, port
+    return (scheme, host, port or MAIL_PORTS[scheme]) if scheme in MAIL_PORTS else None
 
 
 class Email(Section):
@@ -94,9 +97,8 @@ class Email(Section):
     sender: str = ""
     """Address that it comes from; required with `to`."""
     server: str = ""
-    """`host` or `host:port` of the mail server; required with `to`."""
-    security: Literal["starttls", "tls", "none"] = "starttls"
-    """Encryption; port 587, 465 or 25 where `server` states none."""
+    """`host` or `host:port` of the mail server, which has to know STARTTLS; `smtps://host` is over
+    TLS, `smtp://host` without encryption; required with `to`."""
     user: str = ""
     """Name to log in with; empty: no log-in."""
     password: Secret = ""
@@ -117,11 +119,11 @@ class Email(Section):
             if self.to and not is_mail_address(address):
                 yield (key,), "expected an address such as shift@plant.example", address
         if self.to and mail_server(self.server) is None:
-            yield self.at("server", "expected host or host:port")
+            yield self.at("server", "expected host or host:port, after smtps:// or smtp:// if so")
         if bool(self.user) != bool(self.password):
             yield (), "expected user and password together", None
-        if self.user and self.security == "none":
-            yield self.at("security", "expected starttls or tls with a password")
+        if self.user and self.server.startswith("smtp:"):
+            yield self.at("server", "expected encryption with a password: no smtp://")
 
 
 class Alarms(Section):

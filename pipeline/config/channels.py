@@ -8,7 +8,6 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AwareDatetime, Field, field_validator
 
-from pipeline.config.dialect import FieldText
 from pipeline.config.section import Misfit, NonNegative, Positive, Section, Stage
 
 ChannelName = Literal[
@@ -29,8 +28,9 @@ QualityValue = str | int | float | bool
 # What historians write beside a good sample: the word, or OPC DA's code without any remark. 0 is
 # good in OPC UA and bad in OPC DA, so whoever has it says which it is.
 GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
-# Unit of a drain flow that is logged as counts of a volume.
-COUNT = "count"
+# Units of a drain flow that is logged as counts of a volume: a running total, or the counts since
+# the sample before.
+TOTAL, PULSES = "count", "pulses"
 COUNTED: Final = "leakage_flow"
 # The two of which the pressure difference is taken where it has no channel of its own.
 PORT_PRESSURES: Final = ("high_port_pressure", "low_port_pressure")
@@ -54,12 +54,12 @@ class Channel(Section):
     (`file_per_channel`)."""
     constant: float | None = None
     """Value in place of `source`, where not logged."""
-    field: Annotated[FieldText, Stage.READING] = Field("value", min_length=1)
-    """MCAP: field of the message, such as `value` or `pressures[0].value`."""
-    value_column: Annotated[str, Stage.READING] = ""
-    """Column in its file, where not `logs.value_column`."""
+    field: Annotated[str, Stage.READING] = ""
+    """Field of the message (MCAP), such as `pressures[0].value`, or column of its file
+    (`file_per_channel`), where not `logs.value_column`."""
     unit: str
-    """Unit in the log; where it was changed, the newest."""
+    """Unit in the log; where it was changed, the newest. Drain flow: also `count`, a running total,
+    or `pulses`, counts of a sample."""
     earlier_units: tuple[tuple[str, AwareDatetime], ...] = ()
     """Units before, oldest first, each with the first time of the next: `["l/min", TIME]`."""
     quality_source: str = ""
@@ -82,25 +82,20 @@ class Channel(Section):
     """Error in proportion to the reading."""
     frozen_after_s: Positive | None = None
     """Time without a change after which a sensor is frozen; by default 60 s, temperature 900 s."""
-    sampling: Literal["periodic", "on_change", "mean"] = "periodic"
-    """Fixed rate (`periodic`), sent on change or compressed (`on_change`), means of a period
-    (`mean`)."""
+    sampling: Literal["periodic", "on_change", "hold", "mean"] = "periodic"
+    """Fixed rate (`periodic`), compressed to the ends of lines (`on_change`), sent on change and
+    valid until the next (`hold`), means of a period (`mean`)."""
     longest_silence_s: Positive | None = Field(None, le=31_536_000.0)
-    """Silence that is a gap; required for `on_change`."""
-    between: Literal["interpolate", "hold"] = "interpolate"
-    """`on_change`: `interpolate` (compressed) or `hold` the last value."""
+    """Silence that is a gap; required for `on_change` and `hold`."""
     mean_of_s: Positive | None = None
     """Averaging period of a sample; needed for `mean`."""
-    mean_stamp: Literal["begin", "middle", "end"] = "middle"
-    """Place of a mean's time stamp in its period."""
-    counts: Literal["cumulative", "pulses"] | None = None
-    """Drain flow in `count`: running total (`cumulative`) or counts of a sample (`pulses`)."""
     volume_per_count_cm3: Positive | None = None
-    """Volume of a count; 1000 for a counter of litres."""
+    """`count`, `pulses`: volume of each; 1000 for a counter of litres."""
     counter_rolls_over_at: Positive | None = None
     """Counts after which a running total begins anew."""
     time_offset_s: float = Field(0.0, ge=-600.0, le=600.0)
-    """Added to the channel's time stamps."""
+    """Added to the channel's time stamps; minus half of `mean_of_s` where a mean is stamped at the
+    end of its period."""
 
     @field_validator("quality_good", mode="before")
     @classmethod
@@ -112,7 +107,6 @@ class Channel(Section):
 
     def misfits(self) -> Iterator[Misfit]:
         given, (lowest, highest) = self.model_fields_set, self.valid_range or (None, None)
-        is_on_change, is_mean = self.sampling == "on_change", self.sampling == "mean"
         if self.constant is None and not self.source:
             yield ("source",), "is missing: the place in the log, or else a constant", None
         for key in sorted(given - OF_A_CONSTANT) if self.constant is not None else ():
@@ -125,11 +119,9 @@ class Channel(Section):
             yield self.at("quality_good", "expected quality_source beside it")
         if self.sensor_maximum and lowest is not None and self.sensor_maximum <= lowest:
             yield self.at("sensor_maximum", "expected more than the lower end of valid_range")
-        if is_on_change and self.longest_silence_s is None:
-            yield self.at("longest_silence_s", 'expected a time for sampling = "on_change"')
-        if self.between == "hold" and not is_on_change:
-            yield self.at("between", 'expected sampling = "on_change" beside it')
-        if is_mean == (self.mean_of_s is None):
+        if self.is_on_change and self.longest_silence_s is None:
+            yield self.at("longest_silence_s", f'expected a time for sampling = "{self.sampling}"')
+        if (self.sampling == "mean") == (self.mean_of_s is None):
             yield self.at("mean_of_s", 'expected together with sampling = "mean", and only then')
         yield from self._misfits_of_units()
 
@@ -137,17 +129,25 @@ class Channel(Section):
         ends = [end for _, end in self.earlier_units]
         if any(end >= later for end, later in pairwise(ends)):
             yield self.at("earlier_units", "expected the oldest first, each with a later time")
-        is_counted = self.counts is not None
-        if is_counted != (self.unit == COUNT):
-            yield self.at("counts", f'expected together with unit = "{COUNT}"')
-        if is_counted == (self.volume_per_count_cm3 is None):
-            yield self.at("volume_per_count_cm3", "expected together with counts, and only then")
-        if is_counted and self.earlier_units:
+        if self.is_counted == (self.volume_per_count_cm3 is None):
+            message = f'expected together with unit = "{TOTAL}" or "{PULSES}", and only then'
+            yield self.at("volume_per_count_cm3", message)
+        if self.is_counted and self.earlier_units:
             yield self.at("earlier_units", "expected none beside counts")
-        if is_counted and self.sampling == "mean":
-            yield self.at("counts", 'expected no sampling = "mean" beside it')
-        if self.counter_rolls_over_at is not None and self.counts != "cumulative":
-            yield self.at("counter_rolls_over_at", 'expected counts = "cumulative" beside it')
+        if self.is_counted and self.sampling == "mean":
+            yield self.at("unit", 'expected no counts beside sampling = "mean"')
+        if self.counter_rolls_over_at is not None and self.unit != TOTAL:
+            yield self.at("counter_rolls_over_at", f'expected unit = "{TOTAL}" beside it')
+
+    @property
+    def is_counted(self) -> bool:
+        """True if the log has counts of a volume."""
+        return self.unit in (TOTAL, PULSES)
+
+    @property
+    def is_on_change(self) -> bool:
+        """True if silence says that the value has not changed, or lies on a line."""
+        return self.sampling in ("on_change", "hold")
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -179,7 +179,7 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
     first: dict[object, str] = {}
     for spec in specs:
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
-        place = (logs.files, logs.motor_name, flow.source, flow.field, flow.value_column)
+        place = (logs.files, logs.motor_name, flow.source, flow.field)
         other = first.setdefault(place, spec.motor_id)
         if other != spec.motor_id:
             message = (

@@ -8,13 +8,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
-from pipeline.config.dialect import FieldText, FormatName, TimeFormat
+from pipeline.config.dialect import FormatName, TimeFormat, field_path
 from pipeline.config.section import Misfit, Section, Stage, TimeZone
 
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
 # Marks that may stand between groups of three digits.
 THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
+# Times that a record of MCAP has itself.
+RECORD_TIMES = ("log_time", "publish_time")
 # Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
 LONGEST_PATTERN, LONGEST_NAME = 1024, 255
 
@@ -61,7 +63,8 @@ class Logs(Section):
     files: Annotated[tuple[Pattern, ...], Stage.NOTHING]
     """Paths or globs below the log root."""
     time: str = "time"
-    """Column of the time; MCAP: `log_time` or `publish_time`."""
+    """Column of the time; MCAP: `log_time`, `publish_time`, or the path of the time stamp in the
+    message, such as `header.stamp`."""
     time_format: TimeFormat = "iso8601"
     """`iso8601`, `epoch_s`, `epoch_ms`, `epoch_us`, `epoch_ns`, `excel_days` or a strptime
     format."""
@@ -78,7 +81,7 @@ class Logs(Section):
     motor_name: str = ""
     """The motor's name in `motor_column`."""
     value_column: str = "value"
-    """Column of the values, unless `wide`."""
+    """Column of the values, unless `wide`; MCAP: field of the message."""
     separator: str = Field(",", min_length=1, max_length=1)
     """CSV: between cells."""
     decimal: Literal[".", ","] = "."
@@ -93,8 +96,6 @@ class Logs(Section):
     """CSV: lines after the header without samples."""
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
     """CSV: content of a cell without a value."""
-    stamp: FieldText = ""
-    """MCAP: path of the time stamp in the message, such as `header.stamp`."""
 
     def misfits(self) -> Iterator[Misfit]:
         separator, thousands = self.separator, self.thousands
@@ -111,3 +112,13 @@ class Logs(Section):
             yield self.at("thousands", message)
         if bool(self.motor_column) != bool(self.motor_name):
             yield self.at("motor_name", "expected motor_column and motor_name together")
+        try:
+            field_path(self.stamp or "time")
+        except ValueError as error:
+            yield self.at("time", str(error))
+
+    @property
+    def stamp(self) -> str:
+        """Path of the time stamp in a message of MCAP; empty where it is that of the record."""
+        is_path = self.format == "mcap" and "time" in self.model_fields_set
+        return self.time if is_path and self.time not in RECORD_TIMES else ""

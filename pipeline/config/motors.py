@@ -14,7 +14,6 @@ from leakage.estimation.blocks import ChosenPeriods, Stretch
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.clock import microseconds
 from pipeline.config.channels import (
-    COUNT,
     COUNTED,
     NEVER_CONSTANT,
     PORT_PRESSURES,
@@ -175,30 +174,30 @@ class MotorFile(Section):
     def misfits(self) -> Iterator[Misfit]:
         yield from self._missing_channels()
         yield from order_faults(self.oil_samples)
-        taken: dict[tuple[str, str, str], str] = {}
+        taken: dict[tuple[str, str], str] = {}
         for name, channel in self.channels.items():
             for key, message in self._misfits_of(name, channel, taken):
                 yield ("channels", name, key), message, getattr(channel, key)
 
     def _misfits_of(
-        self, name: str, channel: Channel, taken: dict[tuple[str, str, str], str]
+        self, name: str, channel: Channel, taken: dict[tuple[str, str], str]
     ) -> Iterator[tuple[str, str]]:
-        place = (channel.source, channel.field, channel.value_column)
+        place = (channel.source, channel.field or self.logs.value_column)
         other = taken.setdefault(place, name) if channel.source else name
         if other != name:
             yield "source", f"expected a column of its own: this is that of {other}, too"
         if channel.constant is not None and name in NEVER_CONSTANT:
             yield "constant", "expected a source"
         known = UNITS[QUANTITIES[name]]
-        if channel.unit not in known and (name, channel.unit) != (COUNTED, COUNT):
+        if channel.unit not in known and not (channel.is_counted and name == COUNTED):
             yield "unit", f"expected one of {', '.join(known)}"
         if any(unit not in known for unit, _ in channel.earlier_units):
             yield "earlier_units", f"expected units of {', '.join(known)}"
-        try:
-            if self.logs.format == "mcap" and channel.quality_source:
-                field_path(channel.quality_source)
-        except ValueError as error:
-            yield "quality_source", str(error)
+        for key in ("field", "quality_source") if self.logs.format == "mcap" else ():
+            try:
+                field_path(getattr(channel, key) or "value")
+            except ValueError as error:
+                yield key, str(error)
 
     def _missing_channels(self) -> Iterator[Misfit]:
         names = set(self.channels)

@@ -82,26 +82,23 @@ class TransportDelay(Section):
     fixed_s: Annotated[NonNegative, Field(le=MAXIMUM_DELAY_S)] | None = None
     """The delay, where it is always the same; 0: none. Without it and a drain line the delay of all
     inputs is estimated from the motor's first nights."""
-    line_length_m: Positive | None = None
-    """Length of the drain line, whose volume over the drain flow is the delay."""
-    line_inner_diameter_mm: Positive | None = None
-    """Inner diameter of the drain line."""
+    line_volume_l: Positive | None = None
+    """Volume of the drain line, which over the drain flow is the delay; π/4 · length · (inner
+    diameter)²."""
 
     def misfits(self) -> Iterator[Misfit]:
-        if (self.line_length_m is None) != (self.line_inner_diameter_mm is None):
-            yield (), "expected line_length_m and line_inner_diameter_mm together", None
-        if self.fixed_s is not None and self.line_length_m is not None:
+        if self.fixed_s is not None and self.line_volume_l is not None:
             yield self.at("fixed_s", "expected fixed_s or the drain line, not both")
 
     @property
     def is_on(self) -> bool:
         """True if inputs are paired with the drain flow of another time."""
-        return bool(self.fixed_s) or self.line_length_m is not None
+        return bool(self.fixed_s) or self.line_volume_l is not None
 
     @property
     def is_estimated(self) -> bool:
         """True if the motor's own nights decide."""
-        return self.fixed_s is None and self.line_length_m is None
+        return self.fixed_s is None and self.line_volume_l is None
 
 
 class Smoothing(Section):
@@ -219,13 +216,14 @@ class Execution(Section):
     """Processes of this machine (`loky`), the run's own (`sequential`), or the address of a Dask
     scheduler, such as tcp://10.0.0.5:8786."""
     timeout_s: Positive = Field(600.0, le=604_800.0)
-    """Longest time for a night of a motor."""
-    answer_s: Positive = Field(60.0, le=604_800.0)
-    """A log that does not open within this time fails."""
+    """Longest time for a night of a motor; a log that does not open within a tenth of it fails."""
     memory_limit_mib: int = Field(4096, ge=512, le=1_048_576)
     """Most memory of a worker (Linux)."""
-    minimum_free_mib: NonNegative = 100.0
-    """Free disk space that a run requires."""
+
+    @property
+    def answer_s(self) -> float:
+        """Longest time in which a log opens: a mount that hangs shows long before a night does."""
+        return self.timeout_s / 10
 
     @property
     def is_cluster(self) -> bool:

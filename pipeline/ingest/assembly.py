@@ -66,7 +66,7 @@ def _in_canonical_unit(
             raw = raw * channel.scale
             raw += channel.offset
     # Counts are read as they are; cleaning makes a flow of them.
-    if channel.counts is not None or channel.units == (canonical_unit(name),):
+    if channel.is_counted or channel.units == (canonical_unit(name),):
         return raw
     readings = to_canonical(name, raw, channel.unit)
     for unit, end in reversed(channel.earlier_units):

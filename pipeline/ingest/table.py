@@ -88,7 +88,7 @@ def _channels_of(file: LogFile) -> Channels:
 def _column_of(file: LogFile, channel: Channel) -> str:
     if file.logs.layout == "wide":
         return channel.source
-    own = channel.value_column if file.logs.layout == "file_per_channel" else ""
+    own = channel.field if file.logs.layout == "file_per_channel" else ""
     return own or file.logs.value_column
 
 

@@ -171,7 +171,7 @@ def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[st
         message = f"there is no sample: {', '.join(notes)}"
         raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
     # An on-change channel is blank in every row of another channel.
-    silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
+    silent = {name for name, part in spec.file.channels.items() if part.is_on_change}
     return [note for name, note in zip(blank, notes, strict=True) if name not in silent]
 
 
@@ -215,5 +215,5 @@ def reaches_us(spec: MotorSpec) -> dict[str, int]:
     return {
         name: round(channel.longest_silence_s * SECOND_US)
         for name, channel in spec.file.channels.items()
-        if channel.sampling == "on_change" and channel.longest_silence_s
+        if channel.is_on_change and channel.longest_silence_s
     }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.config import Channel, Cleaning
-from pipeline.config.channels import ChannelName
+from pipeline.config.channels import TOTAL, ChannelName
 from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
 from pipeline.night.masks import (
@@ -44,8 +44,6 @@ FROZEN_AFTER_S, TEMPERATURE_FROZEN_AFTER_S = 60.0, 900.0
 TEMPERATURE_GAP_S = 5.0
 # Longest period of a mean that a fit can use: over longer ones conditions change too much.
 MAXIMUM_MEAN_S = 10.0
-# Where the stamp of a mean stands in its period: what leads from there to the middle.
-TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
 Places = NDArray[np.intp]
 
@@ -67,8 +65,8 @@ class ChannelRules:
     hold: bool = False  # between two samples the first holds; else the value is interpolated
     mean_us: float = 0.0  # period of which a sample is the mean; 0: a reading
     shift_us: int = 0  # from the stamp as logged to the time at which the sample holds
-    # `cumulative` for a running total, `pulses` for counts since the sample before; None for a
-    # flow. Volume of a count, and the count after which a running total begins at 0 again.
+    # Unit of a running total, or of counts since the sample before; None for a flow. Volume of a
+    # count, and the count after which a running total begins at 0 again.
     counts: str | None = None
     volume_per_count_cm3: float = 0.0
     rolls_over_at: float | None = None
@@ -85,9 +83,7 @@ class ChannelRules:
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
         silence_s = channel.longest_silence_s or 0.0
-        fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
-        mean_s = channel.mean_of_s or 0.0
-        shift_s = channel.time_offset_s + TO_THE_MIDDLE[channel.mean_stamp] * mean_s
+        fallback = max(fallback, silence_s) if channel.is_on_change else fallback
         rules = cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
@@ -96,11 +92,11 @@ class ChannelRules:
             longest_gap_s=silence_s or None,
             shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
             at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
-            on_change=channel.sampling == "on_change",
-            hold=channel.between == "hold",
-            mean_us=mean_s * SECOND_US,
-            shift_us=round(shift_s * SECOND_US),
-            counts=channel.counts,
+            on_change=channel.is_on_change,
+            hold=channel.sampling == "hold",
+            mean_us=(channel.mean_of_s or 0.0) * SECOND_US,
+            shift_us=round(channel.time_offset_s * SECOND_US),
+            counts=channel.unit if channel.is_counted else None,
             volume_per_count_cm3=channel.volume_per_count_cm3 or 0.0,
             rolls_over_at=channel.counter_rolls_over_at,
             has_rows_of_its_own=logs is not None and logs.layout != "wide",
@@ -317,7 +313,7 @@ def _judged_alone(
             value if bad is None else np.where(bad, np.nan, value),
             longest_gap_us,
             rules.volume_per_count_cm3,
-            is_total=rules.counts == "cumulative",
+            is_total=rules.counts == TOTAL,
             rolls_over_at=rules.rolls_over_at,
         )
         masks |= of_counter

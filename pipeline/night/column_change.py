@@ -174,7 +174,7 @@ def _other_units(
     for name in (name for name in OF_ONE_UNIT if _is_known(name, usual, now)):
         channel = channels[name if name in channels else PORT_PRESSURES[0]]
         is_unusual = name == FLOW or _beyond(name, now[name], usual) > NEAR
-        if channel.counts is not None or not is_unusual:
+        if channel.is_counted or not is_unusual:
             continue
         place = f"channels.{name}" if name in channels else "both gauges"
         may_be_right = is_of_others and name in MAY_RISE and now[name] > usual[name]

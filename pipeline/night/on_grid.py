@@ -7,7 +7,6 @@ meters that average. So a delay of the flow is estimated from the motor's first 
 
 from __future__ import annotations
 
-from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,6 @@ CELL_SHARE = 0.5
 EVEN_SAMPLES = 64
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
-L_PER_MIN_PER_M3_PER_S = 60_000.0
 DELAYED = ("pressure_difference", "oil_temperature", "speed")
 # Averaging time of the drain flow that the delay is taken from.
 FLOW_AVERAGE_S = 10.0
@@ -147,12 +145,10 @@ def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     return OnGrid(result, present, silent)
 
 
-def drain_line_delay_s(
-    flow_l_per_min: Values, line_length_m: float, line_inner_diameter_mm: float
-) -> Values:
+def drain_line_delay_s(flow_l_per_min: Values, line_volume_l: float) -> Values:
     """Return time that oil takes through the drain line.
 
-    .. math:: \\tau(t) = \\frac{L}{v(t)}, \\qquad v = \\frac{y}{\\pi d^2 / 4}
+    .. math:: \\tau(t) = \\frac{L}{v(t)} = \\frac{V}{y(t)}, \\qquad V = L \\pi d^2 / 4
 
     Infinite without flow, nan where the flow is.
 
@@ -161,11 +157,9 @@ def drain_line_delay_s(
     .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå
        University of Technology, 2021, equation (14).
     """
-    area_m2 = pi * (line_inner_diameter_mm / 1000.0) ** 2 / 4.0
-    velocity = flow_l_per_min / L_PER_MIN_PER_M3_PER_S / area_m2
     delay = np.full(len(flow_l_per_min), np.inf)
-    np.divide(line_length_m, velocity, out=delay, where=velocity > 0)
-    delay[np.isnan(velocity)] = np.nan
+    np.divide(60.0 * line_volume_l, flow_l_per_min, out=delay, where=flow_l_per_min > 0)
+    delay[np.isnan(flow_l_per_min)] = np.nan
     return delay
 
 
@@ -175,8 +169,8 @@ def delay_on_grid_s(
     """Return τ at each sample, shape (n,) [s], by an average: a pulse meter's readings may be 0."""
     if settings.fixed_s is not None:
         return np.full(len(flow_l_per_min), settings.fixed_s)
-    if settings.line_length_m is None or settings.line_inner_diameter_mm is None:
-        raise ValueError("a delay by the flow needs the line's length and diameter")
+    if settings.line_volume_l is None:
+        raise ValueError("a delay by the flow needs the line's volume")
     half = round(FLOW_AVERAGE_S / period_s) // 2
     row = np.arange(len(flow_l_per_min))
     first, last = np.maximum(row - half, 0), np.minimum(row + half + 1, len(row))
@@ -185,7 +179,7 @@ def delay_on_grid_s(
     average = np.full(len(row), np.nan)
     n = count[last] - count[first]
     np.divide(total[last] - total[first], n, out=average, where=present & (n > 0))
-    return drain_line_delay_s(average, settings.line_length_m, settings.line_inner_diameter_mm)
+    return drain_line_delay_s(average, settings.line_volume_l)
 
 
 def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:

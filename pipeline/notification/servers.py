@@ -40,7 +40,6 @@ from pipeline.notification.delivery import (
 )
 
 SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks a secret
-PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
 SENSORS = ("pressure_zero", "flow_zero")
@@ -79,24 +78,23 @@ class Mail:
         talk(lambda: self._send(message, password), _mail_fault, self.deadline_s)
 
     def _send(self, message: EmailMessage, password: str) -> None:
-        with self._connected() as server:
-            if self.settings.security == "starttls":
-                server.starttls(context=ssl.create_default_context())
+        place = mail_server(self.settings.server)
+        assert place is not None, "the config has refused it"
+        encryption, host, port = place
+        context = ssl.create_default_context()
+        # Longer than the deadline, which decides: smtplib reports its own as a closed connection.
+        timeout = 2 * self.deadline_s
+        with (
+            smtplib.SMTP_SSL(host, port, timeout=timeout, context=context)
+            if encryption == "smtps"
+            else smtplib.SMTP(host, port, timeout=timeout)
+        ) as server:
+            if not encryption:
+                server.starttls(context=context)
             if self.settings.user:
                 server.login(self.settings.user, password)
             if refused := server.send_message(message):
                 raise smtplib.SMTPRecipientsRefused(refused)
-
-    def _connected(self) -> smtplib.SMTP:
-        place = mail_server(self.settings.server)
-        assert place is not None, "the config has refused it"
-        host, port = place[0], place[1] or PORTS[self.settings.security]
-        # Longer than the deadline, which decides: smtplib reports its own as a closed connection.
-        timeout = 2 * self.deadline_s
-        if self.settings.security == "tls":
-            context = ssl.create_default_context()
-            return smtplib.SMTP_SSL(host, port, timeout=timeout, context=context)
-        return smtplib.SMTP(host, port, timeout=timeout)
 
 
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:

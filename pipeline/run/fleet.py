@@ -69,6 +69,9 @@ __all__ = ["RunRequest", "RunResult", "run_fleet"]
 
 log = logging.getLogger(__name__)
 
+# A night of a hundred motors writes some tens of MiB; a disk that fills half way costs a repair.
+MINIMUM_FREE_MIB = 100
+
 Progress = Callable[[MotorOutcome], None]
 
 
@@ -90,7 +93,7 @@ def run_fleet(
     receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:  # otherwise each of the motors would fail of it
         next(ObjectStore.at(fleet.log_url).list(), None)
-    _require_space(output, fleet.execution.minimum_free_mib)
+    _require_space(output)
     with locked(output):
         require_own_output(fleet)
         with Heartbeat(output, len(request.specs), last_good_run(output)) as heartbeat:
@@ -107,15 +110,15 @@ def run_fleet(
     return result
 
 
-def _require_space(output: Path, minimum_mib: float) -> None:
+def _require_space(output: Path) -> None:
     """Refuse a run with little room on the disk, which would end it half way."""
     present = next(folder for folder in (output, *output.parents) if folder.exists())
     free_mib = shutil.disk_usage(present).free / 1024**2
-    if free_mib < minimum_mib:
+    if free_mib < MINIMUM_FREE_MIB:
         raise StoreError(
             "disk_space",
-            f"{output} has {free_mib:.0f} MiB free, and execution.minimum_free_mib is "
-            f"{minimum_mib:g}; nothing was done: free space, or prune",
+            f"{output} has {free_mib:.0f} MiB free, and a run needs {MINIMUM_FREE_MIB}; nothing "
+            "was done: free space, or prune",
         )
 
 

@@ -82,7 +82,7 @@ def suspect_units(
     typical = {
         str(name): value
         for name, channel in spec.file.channels.items()
-        if channel.counts is None
+        if not channel.is_counted
         and channel.constant is None
         and (value := _typical(name, channels[name])) is not None
     }
@@ -112,7 +112,7 @@ def differing_units(file: MotorFile, header: Header) -> Iterator[str]:
     """Yield channels that a table's header or line of units gives another unit than the config."""
     for name, channel in file.channels.items():
         unit = meaning_of(channel.source, header.get(channel.source, "")).unit
-        is_judged = channel.counts is None and channel.constant is None and channel.scale == 1.0
+        is_judged = not channel.is_counted and channel.constant is None and channel.scale == 1.0
         if unit is None or unit in channel.units or not is_judged:
             continue
         code, more = "unit_differs", ""

@@ -154,7 +154,7 @@ def added_files(
     files = {}
     for motor in proposal.motors:
         keys = motor.channels["leakage_flow"].keys
-        flow = (keys["source"], keys.get("field", "value"), motor.logs.get("motor_name", ""))
+        flow = (keys["source"], keys.get("field", ""), motor.logs.get("motor_name", ""))
         if any((path, *flow) in claimed for path in motor.files):
             continue
         own = _document(motor, *machine_of(motor, motor_type, oil, answers))

@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
-from pipeline.config.channels import COUNTED
+from pipeline.config.channels import COUNTED, TOTAL
 from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import ChannelRules, CleanChannel, Rests, clean_channel
 from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
@@ -144,8 +144,8 @@ def silence_keys(raw: RawChannel, every_us: Times) -> dict[str, Any]:
     silence_s = next((seconds for seconds in SILENCES_S if seconds >= needed_s), SILENCES_S[-1])
     changes = np.abs(np.diff(value))
     smallest, typical = np.quantile(changes[changes > 0], (0.05, 0.5))
-    keys: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": float(silence_s)}
-    return keys | ({"between": "hold"} if smallest > STEP_SHARE * typical else {})
+    sampling = "hold" if smallest > STEP_SHARE * typical else "on_change"
+    return {"sampling": sampling, "longest_silence_s": float(silence_s)}
 
 
 def sampling_note(name: str, channel: Channel, raw: RawChannel) -> Iterator[str]:
@@ -154,13 +154,13 @@ def sampling_note(name: str, channel: Channel, raw: RawChannel) -> Iterator[str]
     if value.size < FEWEST or not np.ptp(value):
         return
     steps = np.diff(time_us) / 1e6
-    if name == COUNTED and _rises(value) != (channel.counts == "cumulative"):
-        if channel.counts == "cumulative":
+    if name == COUNTED and _rises(value) != (channel.unit == TOTAL):
+        if channel.unit == TOTAL:
             yield f"{name}: configured as a running total, and falls again and again"
         else:
-            keys = 'counts = "cumulative", unit = "count" and volume_per_count_cm3'
+            keys = f'unit = "{TOTAL}" and volume_per_count_cm3'
             yield f"{name}: looks like a running total: then {keys}"
-    elif _is_irregular(steps) and channel.sampling != "on_change" and channel.counts is None:
+    elif _is_irregular(steps) and not channel.is_on_change and not channel.is_counted:
         # Without the longest hundredth.
         reach = float(np.quantile(steps, 0.99, method="higher"))
         yield (
@@ -228,7 +228,7 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> di
     """
     extremes = dict[str, str]()
     for name, channel in spec.file.channels.items():
-        if channel.constant is not None or channel.counts is not None:
+        if channel.constant is not None or channel.is_counted:
             continue
         # A halt drives oil backwards through the meter, which then reads its maximum.
         at_work = ~_near_halts(spec, channels["speed"], channels[name].time_us)

@@ -341,7 +341,7 @@ def _mcap(path: Path) -> Table:
     questions: list[Question] = []
     of_readings = {column.keys["source"] for column in columns}
     if stamp := _stamp([topic for topic in topics if topic.name in of_readings]):
-        logs["stamp"] = path_text(stamp[0])
+        logs["time"] = path_text(stamp[0])
         set_formats(logs, questions, stamp[1])
     faults = tuple(
         f"{topic.name}: {path_text(at)} is text ({text!r}): have it written as a number"

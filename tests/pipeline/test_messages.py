@@ -12,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config.channels import Channel
 from pipeline.config.dialect import FieldPath, field_path, path_text
-from pipeline.config.logs import Logs
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_parent
 from tests.pipeline.calling import Call, python
 
@@ -98,13 +96,8 @@ def test_paths(field: str, topic: str, path: FieldPath) -> None:
     "field", ["", "/", "a.", ".a", "a..b", "[0]", "a[", "a[x]", "a[-1]", "a[0]b", "a]", "a\\"]
 )
 def test_what_is_no_path_is_refused(field: str) -> None:
-    for refused in (
-        lambda: field_path(field),
-        lambda: Channel(source="dp", unit="bar", field=field),
-        lambda: Logs(format="mcap", files=("*.mcap",), stamp=field or "."),
-    ):
-        with pytest.raises(ValueError, match=r"is no path|at least 1 character"):
-            refused()
+    with pytest.raises(ValueError, match="is no path"):
+        field_path(field)
 
 
 @given(

@@ -56,7 +56,7 @@ def test_a_step_of_30_percent_is_reported_once_within_5_minutes_by_command_web_h
             "fleet.toml",
             f'[alarms]\nwebhook_url = "{receiver.url()}"\n'
             f'[alarms.email]\nto = ["shift@plant.example"]\nsender = "leakage@plant.example"\n'
-            f'server = "127.0.0.1:{mail.port}"\nsecurity = "none"\n',
+            f'server = "smtp://127.0.0.1:{mail.port}"\n',
         )
         while not reported and minute < END:
             minute += 1

@@ -43,8 +43,7 @@ webhook_secret = "${{HOOK_SECRET}}"
 [alarms.email]
 to = ["shift@plant.example"]
 sender = "leakage@plant.example"
-server = "127.0.0.1:{mail_port}"
-security = "none"
+server = "smtp://127.0.0.1:{mail_port}"
 weekly = ""
 """
 

@@ -125,13 +125,16 @@ class _Topic:
         self.channels = {
             key: channel for key, channel in file.channels.items() if channel.source == name
         }
-        fields = {key: field_path(channel.field, name) for key, channel in self.channels.items()}
+        logs = file.logs
+        fields = {
+            key: field_path(channel.field or logs.value_column, name)
+            for key, channel in self.channels.items()
+        }
         self.qualities = {
             channel.quality_source: field_path(channel.quality_source, name)
             for channel in self.channels.values()
             if channel.quality_source
         }
-        logs = file.logs
         self.wanted = Wanted(
             tuple(dict.fromkeys(fields.values())),
             tuple(dict.fromkeys(self.qualities.values())),

@@ -19,11 +19,11 @@ BALANCE = 'name = "balance_piston"'
 NU, ETA = (f'[channels.{name}_viscosity]\nsource = "{name}"\n' for name in ("kinematic", "dynamic"))
 VISCOSITY, AT_100 = "viscosity_40_c_mm2_per_s", "viscosity_100_c_mm2_per_s"
 MARCH = "[[events]]\ndate = 2026-03-01\n"
-FLEET = "fleet.toml"
+FLEET, MCAP = "fleet.toml", "motors/CB560-01.toml"
 FLOW, ON_CHANGE = "[channels.leakage_flow]", 'sampling = "on_change"'
 DAY_3, DAY_4 = "2026-01-03T12:00:00", "2026-01-04T12:00:00"
 BOTH = f"[[{DAY_3}Z, {DAY_4}Z]]"
-DELAY, LINE = "override.transport_delay", "line_length_m = 1.0\nline_inner_diameter_mm = 9.0"
+DELAY = "override.transport_delay"
 
 Case = tuple[str, str, str, str, str]
 """File, text before (empty: the text is added), text after, key, words of the message."""
@@ -58,7 +58,8 @@ CASES: tuple[Case, ...] = (
     (MOTOR, 'time = "time"', 'separator = "·"', "logs.separator", "ASCII"),
     (MOTOR, 'time = "time"', 'thousands = "x"', "logs.thousands", "expected one of '.', ',', "),
     (MOTOR, 'time = "time"', 'thousands = ","', "logs.thousands", "decimal mark and the sep"),
-    (MOTOR, 'time = "time"', 'stamp = "a..b"', "logs.stamp", "is no path"),
+    (MCAP, '"publish_time"', '"a..b"', "logs.time", "is no path"),
+    (MCAP, 'field = "value"', 'field = "a["', f"{CHANNEL}.field", "is no path"),
     (MOTOR, 'format = "csv"', 'format = "xlsx"', "logs.format", ": csv, mcap, parquet"),
     (MOTOR, '["CB400-01/*.csv"]', "[]", "logs.files", "at least one"),
     # The motor
@@ -103,12 +104,10 @@ CASES: tuple[Case, ...] = (
             ('sampling = "on_change"', "longest_silence_s", "expected a time"),
             # The end of the silence after a sample has to be a date.
             (f"{ON_CHANGE}\nlongest_silence_s = 1e12", "longest_silence_s", "less than"),
-            ('between = "hold"', "between", "sampling = "),
             ('sampling = "mean"', "mean_of_s", "together with"),
             ("mean_of_s = 10.0", "mean_of_s", "together with"),
-            ('counts = "pulses"', "counts", "together with unit"),
-            ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3", "together with counts"),
-            ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at", "cumulative"),
+            ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3", "together with unit"),
+            ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at", 'unit = "count"'),
             ("time_offset_s = 3600.0", "time_offset_s", "less than"),
             (f'earlier_units = [["bar", {DAY_4}Z]]', "earlier_units", "expected units of"),
             (f'earlier_units = [["l/h", {DAY_4}]]', "earlier_units.0.1", "timezone"),
@@ -118,9 +117,8 @@ CASES: tuple[Case, ...] = (
     *(
         (MOTOR, "", f"[{DELAY}]\n{keys}", f"{DELAY}{key}", words)
         for keys, key, words in (
-            ("line_length_m = 1.0", "", "together"),
             ("fixed_s = 61.0", ".fixed_s", "less than"),
-            (f"fixed_s = 1.0\n{LINE}", ".fixed_s", "not both"),
+            ("fixed_s = 1.0\nline_volume_l = 0.1", ".fixed_s", "not both"),
         )
     ),
     (MOTOR, "", f"[periods]\ntraining = [[{DAY_4}Z, {DAY_3}Z]]", "periods", "the later"),

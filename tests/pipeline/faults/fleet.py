@@ -14,6 +14,7 @@ from typing import Any
 import polars as pl
 import pytest
 
+import pipeline.run.fleet
 import pipeline.run.motor_task
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunResult
@@ -29,6 +30,8 @@ from tests.pipeline.written import LASTING, processed_of, record_of
 # Of a process that imports the tests.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
 MOTORS = ("M1", "M2")
+# A disk may become full in spite of the look at it before a run.
+pipeline.run.fleet.MINIMUM_FREE_MIB = 0
 LATER = NIGHT + DAY
 Tables = dict[str, pl.DataFrame]
 
@@ -50,8 +53,7 @@ class TinyFleet(Workshop):
     def at(cls, folder: Path) -> TinyFleet:
         """Make it, and both outputs."""
         made = cls(folder)
-        # A disk may become full in spite of the look at it before a run.
-        made.configure(fleet=f"{QUICK}minimum_free_mib = 0\n", motors=MOTORS)
+        made.configure(fleet=QUICK, motors=MOTORS)
         for number, motor in enumerate(MOTORS):
             made.log(NIGHT, seed=number, motor=motor)
         made.run(made.before)

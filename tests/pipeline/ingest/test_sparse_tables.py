@@ -78,9 +78,9 @@ def test_rows_that_are_blank_for_others_are_none_of_a_channel(
 
 
 APART: Channels = {
-    "pressure_difference": column("hydraulics_*", "bar", value_column="dp"),
-    "oil_temperature": column("hydraulics_*", "degC", value_column="T"),
-    "speed": column("drive_*", "rpm", value_column="n"),
+    "pressure_difference": column("hydraulics_*", "bar", field="dp"),
+    "oil_temperature": column("hydraulics_*", "degC", field="T"),
+    "speed": column("drive_*", "rpm", field="n"),
     "leakage_flow": column("drain_*", "l/min"),
 }
 

@@ -38,7 +38,7 @@ def cleaned(seconds: list[int], value: list[float], **keys: Any) -> CleanChannel
     bad = np.isin(np.array(value), keys.pop("bad", []))
     stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 100.0} | keys
     channel = Channel(source="x", unit=stated.pop("unit", "bar"), **stated)
-    name = "leakage_flow" if channel.counts else "pressure_difference"
+    name = "leakage_flow" if channel.is_counted else "pressure_difference"
     rules = ChannelRules.of(name, channel, Cleaning())
     values = np.array(value)
     times = START + np.array(seconds, dtype=np.int64) * SECOND_US
@@ -55,8 +55,8 @@ def at(channel: CleanChannel, *seconds: int) -> list[float]:
 NONE = float("nan")
 
 
-METER = {"counts": "cumulative", "volume_per_count_cm3": 1000.0, "unit": "count"}
-HOLD = {"between": "hold"}
+METER = {"volume_per_count_cm3": 1000.0, "unit": "count"}
+HOLD = {"sampling": "hold"}
 
 
 @pytest.mark.parametrize(

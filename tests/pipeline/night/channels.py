@@ -55,7 +55,7 @@ def as_read(
     """Channel of a log cleaned by the keys of its config: nan is a blank cell, `bad` are rows."""
     mask = np.zeros(len(value), np.bool_)
     mask[list(bad)] = True
-    channel = Channel(source="x", unit="count" if "counts" in keys else CANONICAL[name], **keys)
+    channel = Channel.model_validate({"source": "x", "unit": CANONICAL[name]} | keys)
     rules = ChannelRules.of(name, channel, Cleaning(), logs)
     return clean_channel(RawChannel(time_us, value, np.isnan(value), 0, mask), rules)
 

@@ -34,7 +34,8 @@ from tests.pipeline.night.noise_free import (
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_file
 
 Array = NDArray[np.float64]
-LINE: dict[str, Any] = {"line_length_m": 2.0, "line_inner_diameter_mm": 12.0}
+VOLUME_L = 1000.0 * np.pi * 0.006**2 * 2.0
+LINE: dict[str, Any] = {"line_volume_l": VOLUME_L}
 OPERATION = operate(minutes=60.0)
 
 
@@ -80,14 +81,13 @@ def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(
 ) -> None:
     monkeypatch.setattr(on_grid, "FLOW_AVERAGE_S", 0.0)
     monkeypatch.setattr(on_grid, "MAXIMUM_DELAY_S", 15.0)
-    spec = with_delay(tmp_path, "line_length_m = 2.0\nline_inner_diameter_mm = 12.0\n")
-    volume_l = 1000.0 * np.pi * 0.006**2 * 2.0
+    spec = with_delay(tmp_path, f"line_volume_l = {VOLUME_L}")
     flow = configured_flow(spec, OPERATION)
     seconds = np.arange(len(flow), dtype=np.float64)
     # Oil that leaves the motor at t passes the meter at t + τ(t).
-    arrives = np.maximum.accumulate(seconds + 60.0 * volume_l / flow)
+    arrives = np.maximum.accumulate(seconds + 60.0 * VOLUME_L / flow)
     measured = np.interp(seconds, arrives, flow)
-    tau = 60.0 * volume_l / measured
+    tau = 60.0 * VOLUME_L / measured
     outcome = fitted(spec, OPERATION, measured)
     assert refused_of(outcome)["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
     assert fit_of(outcome.rows)["training_fit_percent"] > 99.5

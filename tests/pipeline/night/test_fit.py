@@ -278,7 +278,7 @@ def test_a_night_without_a_fit_has_one_row_that_says_why(
     assert ("quality" in found.rows) == all(len(values) for values in changed.values())
 
 
-COUNTED = 'counts = "cumulative"\nvolume_per_count_cm3 = 1.0\n'
+COUNTED = "volume_per_count_cm3 = 1.0\n"
 ALL_RULES = """
 [override.cleaning]
 refuse_transients = true
@@ -296,7 +296,7 @@ def reasons_of(folder: Path, text: str) -> set[str]:
     spec = load_motor(folder, text)
     operation = operate()
     values = operation.channels(configured_flow(spec, operation))
-    if spec.file.channels["leakage_flow"].counts:
+    if spec.file.channels["leakage_flow"].is_counted:
         values["leakage_flow"] = np.floor(np.cumsum(values["leakage_flow"]) * 1000.0 / 60.0)
     return {reason for _, reason in refused_of(fit(spec, operation, values))}
 

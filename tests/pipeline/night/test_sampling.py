@@ -38,10 +38,11 @@ FLOW = 0.35
 PULSE_TIME = stamps(36_000)
 TOTAL = np.floor(FLOW * 1000 / 60 * PULSE_TIME / SECOND)
 PULSES = np.diff(TOTAL, prepend=0.0)
-PULSED: dict[str, Any] = {"counts": "pulses", "volume_per_count_cm3": 1.0}
-COUNTED: dict[str, Any] = PULSED | {"counts": "cumulative"}
+PULSED: dict[str, Any] = {"unit": "pulses", "volume_per_count_cm3": 1.0}
+COUNTED: dict[str, Any] = PULSED | {"unit": "count"}
 MEANS: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
+HELD: dict[str, Any] = ON_CHANGE | {"sampling": "hold"}
 
 
 def seconds(n: int) -> Times:
@@ -172,16 +173,9 @@ def test_a_mean_holds_over_its_period_and_is_not_averaged_again() -> None:
     assert present.tolist() == [True, False, False, True]
 
 
-def test_the_stamp_of_a_mean_is_moved_to_its_middle() -> None:
-    time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
-    for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
-        found = as_read("speed", time, np.arange(100.0), mean_stamp=stamp, **MEANS)
-        np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
-
-
 def test_a_night_of_a_counter_of_litres(tmp_path: Path, spec: MotorSpec) -> None:
     """The flow from differences of a running total gives the loss factors of the flow itself."""
-    keys = 'counts = "cumulative"\nvolume_per_count_cm3 = 1000.0\ntime_offset_s = 0.5\n'
+    keys = "volume_per_count_cm3 = 1000.0\ntime_offset_s = 0.5\n"
     text = motor_toml("M1", units=CANONICAL | {"leakage_flow": "count"})
     text = text.replace("[channels.leakage_flow]\n", f"[channels.leakage_flow]\n{keys}")
     flow = configured_flow(spec, MOVING)
@@ -237,7 +231,7 @@ def test_what_ends_a_value(
     refused: dict[str, int],
     ends: list[int],
 ) -> None:
-    found = as_read("pressure_difference", SENT_S, value, bad, logs, between="hold", **ON_CHANGE)
+    found = as_read("pressure_difference", SENT_S, value, bad, logs, **HELD)
     np.testing.assert_array_equal(found.time_us, times)
     assert (found.n_samples, refused_by(found)) == (len(times), refused)
     assert np.flatnonzero(found.ends).tolist() == ends

@@ -71,7 +71,7 @@ class Server:
 
     def settings(self, **changed: Any) -> Email:
         stated = {"to": ("shift@plant.example",), "sender": "leakage@plant.example"}
-        stated |= {"server": f"127.0.0.1:{self.port}", "security": "none"}
+        stated |= {"server": f"smtp://127.0.0.1:{self.port}"}
         return Email.model_validate(stated | changed)
 
 
@@ -149,13 +149,13 @@ def test_a_name_in_a_log_adds_no_header() -> None:
 LOGIN = {"user": "leakage", "password": "${MAIL_PASSWORD}"}
 
 
-@pytest.mark.parametrize("security", ["starttls", "tls"])
+@pytest.mark.parametrize(("security", "scheme"), [("starttls", ""), ("tls", "smtps://")])
 def test_it_logs_in_over_a_checked_certificate(
-    security: str, monkeypatch: pytest.MonkeyPatch
+    security: str, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
     with serving(**{security: True}) as server:
-        settings = server.settings(**LOGIN, security=security)
+        settings = server.settings(**LOGIN, server=f"{scheme}127.0.0.1:{server.port}")
         assert "certificate" in fault_of(settings).why
         assert server.logins == []
         monkeypatch.setenv("SSL_CERT_FILE", str(CERTIFICATE))
@@ -168,7 +168,7 @@ def test_it_logs_in_over_a_checked_certificate(
 
 def test_a_server_without_tls_and_a_refused_address_get_nothing() -> None:
     with serving() as server:
-        assert "STARTTLS" in fault_of(server.settings(security="starttls")).why
+        assert "STARTTLS" in fault_of(server.settings(server=f"127.0.0.1:{server.port}")).why
         server.refused = "gone@plant.example"
         fault = fault_of(server.settings(to=(server.refused,)))
         assert fault.why == "refused for gone@plant.example"
@@ -190,10 +190,10 @@ def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:
         ({"to": ("a@b.example\nBcc: c@d.example",)}, "an address such as"),
         ({"sender": ""}, "an address such as"),
         ({"server": ""}, "host or host:port"),
-        ({"server": "smtp://mail.example"}, "host or host:port"),
+        ({"server": "http://mail.example"}, "host or host:port"),
         ({"user": "a"}, "user and password together"),
         ({"password": "secret"}, "expected ${NAME}"),
-        ({"user": "a", "password": "${P}", "security": "none"}, "starttls or tls"),
+        ({"user": "a", "password": "${P}"}, "no smtp://"),
     ],
 )
 def test_settings_that_cannot_work_are_refused(changed: dict[str, Any], words: str) -> None:

@@ -69,17 +69,13 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     assert table_files(tmp_path) == table_files(fitted_output)
 
 
-@pytest.mark.parametrize(("minimum_mib", "is_refused"), [(100, True), (99, False), (0, False)])
 def test_a_run_with_too_little_room_touches_nothing(
-    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch, minimum_mib: int, is_refused: bool
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fleet = own_fleet(PARQUET, nights=1)
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
-    if not is_refused:
-        assert run(fleet, minimum_free_mib=minimum_mib).n_nights == 1
-        return
-    with pytest.raises(StoreError, match=r"minimum_free_mib is 100") as caught:
-        run(fleet, minimum_free_mib=minimum_mib)
+    with pytest.raises(StoreError, match="100 MiB free, and a run needs 100;") as caught:
+        run(fleet)
     assert caught.value.code == "disk_space"
     assert not output_of(fleet).exists()
 

@@ -200,6 +200,6 @@ def test_logs_that_do_not_answer_are_left_to_the_tasks(
     task, answered = workshop.task(), Event()
     assert unchanged(BESIDE, task, task) == 2
     monkeypatch.setattr("pipeline.run.fleet._stat_logs", lambda *_: answered.wait())
-    hasty = BESIDE.model_copy(update={"answer_s": 0.01})
+    hasty = BESIDE.model_copy(update={"timeout_s": 0.1})
     assert unchanged(hasty, task, task) == 0
     answered.set()

@@ -264,7 +264,7 @@ STEP_S, RESOLUTION = 0.02, 0.02
 FLOW = 1.5 + 0.4 * correlated_noise(np.random.default_rng(7), 360_000, STEP_S, 20.0)
 READ = np.round(np.rint(FLOW / RESOLUTION) * RESOLUTION, 9)
 SENT = {"sampling": "on_change", "longest_silence_s": 60.0}
-TOTAL = {"unit": "count", "counts": "cumulative", "volume_per_count_cm3": 1.0}
+TOTAL = {"unit": "count", "volume_per_count_cm3": 1.0}
 
 
 def sampled(values: NDArray[np.float64], period_s: float) -> Logged:
@@ -305,7 +305,7 @@ def test_values_sent_on_change_look_it(steps: int) -> None:
     # The longest but for a hundredth: of use as longest_silence_s.
     reach = float(said.split()[-2])
     assert 0.98 < np.mean(np.diff(logged[0]) <= 1.01 * reach) <= 1.0
-    assert note(logged, **SENT) == note(logged, "speed", **TOTAL | {"counts": "pulses"}) == ""
+    assert note(logged, **SENT) == note(logged, "speed", **TOTAL | {"unit": "pulses"}) == ""
 
 
 @pytest.mark.parametrize(
@@ -316,5 +316,5 @@ def test_a_running_total(period_s: float, volume_cm3: float, rolls_over: float) 
     total = np.floor(123.0 + np.cumsum(np.maximum(FLOW, 0.0)) * STEP_S / 0.06 / volume_cm3)
     time_s, count = sampled(total, period_s)
     logged = time_s, count % rolls_over
-    assert "looks like a running total: then counts = " in note(logged)
+    assert "looks like a running total: then unit = " in note(logged)
     assert note(logged, **TOTAL) == ""

@@ -30,7 +30,7 @@ TIMES = {
     "backwards": STAMPS[::-1],
     "uneven": STAMPS + np.cumsum(AT % 7 == 0) * 10**7,
 }
-COUNTED = 'unit = "count"\ncounts = "cumulative"\nvolume_per_count_cm3 = 1.0'
+COUNTED = 'unit = "count"\nvolume_per_count_cm3 = 1.0'
 LABEL = NIGHT.isoformat()
 
 

@@ -312,7 +312,7 @@ def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -
         }
 
     motor = require_it_reads(mcap(tmp_path, {"/drive": message}), log_of())
-    assert motor.logs["stamp"] == "stamp"
+    assert motor.logs["time"] == "stamp"
     pressure, _, _, flow = (column.keys for column in motor.channels.values())
     assert (pressure["field"], pressure["unit"]) == (r"hydraulics.pressure\.diff.value", "kPa")
     assert flow["field"] == "readings[0].drain_flow_lpm"
@@ -335,7 +335,7 @@ def test_stamps_that_are_a_number_or_text(
         for channel, values in log.values.items()
     }
     logs = require_it_reads(mcap(tmp_path, topics), log, units=UNITS).logs
-    assert (logs["stamp"], logs["time_format"]) == ("t", form)
+    assert (logs["time"], logs["time_format"]) == ("t", form)
 
 
 # By topic: message, its fields, the field of the reading, and readings.
@@ -373,7 +373,7 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
             writer.add_message(number, 1000 * time_us + 7000, encode(content), 0)
     writer.finish()
     motor = require_it_reads(log_in(tmp_path, buffer.getvalue(), "log.mcap"), log, units=UNITS)
-    assert motor.logs["stamp"] == "header.stamp"
+    assert motor.logs["time"] == "header.stamp"
     units = [column.unit for column in motor.channels.values()]
     assert units == ["Pa", "degC", "rpm", "m3/h"]
 

@@ -152,7 +152,7 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     blocked = f"{NIGHT + 3 * DAY}.parquet"
     os.mkfifo(workshop.logs / blocked)
     monkeypatch.setattr(pipeline.run.fleet, "run_motor", fit_with_pipes_as_files)
-    (failed,) = run_isolated(workshop, "answer_s = 3.0").failed
+    (failed,) = run_isolated(workshop, "timeout_s = 30.0").failed
     assert (failed.motor_id, failed.error_code) == ("M1", "log_no_answer")
     nights = workshop.rows("nights").filter(motor_id="M1")
     assert nights["status"].to_list() == [*["ok"] * 3, "failed"]

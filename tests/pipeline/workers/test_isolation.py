@@ -26,7 +26,7 @@ from tests.pipeline.misbehaviour import (
     workers_of,
 )
 
-LIMITS = Execution(workers=2, timeout_s=20.0, answer_s=0.5, memory_limit_mib=700)
+LIMITS = Execution(workers=2, timeout_s=20.0, memory_limit_mib=700)
 HASTY = LIMITS.model_copy(update={"timeout_s": 2.0})
 # By what a task does: the code of its loss, and words that say what it was and where.
 EXPECTED = {
@@ -77,7 +77,7 @@ def test_a_log_that_a_task_waits_for_is_named() -> None:
         list(workers.run(hang_at_a_log, [True, False], losses.__setitem__))
         for slow in (slow_by_parts, slow_by_items):
             assert list(workers.run(slow, [3], not_lost)) == [3]
-    for asked, limit_s in ((True, 0.5), (False, 2)):
+    for asked, limit_s in ((True, 0.2), (False, 2)):
         how = f"a.csv did not answer within {limit_s} s, at a night"
         assert losses[asked] == Loss("log_no_answer", how, "a night", "a.csv")
 

@@ -159,7 +159,7 @@ SECONDS = '{"sec": 1740808800, "nsec": 1999}'
     ("data", "keys", "wanted"),
     [
         *(
-            (stamped(*stamps), {"stamp": "head.t", "time_format": form}, wanted)
+            (stamped(*stamps), {"time": "head.t", "time_format": form}, wanted)
             for stamps, form, wanted in (
                 (['"2025-03-01T06:00:00.5Z"', '"2025-03-01T06:00:01+00:00"'], "iso8601", [0.5, 1]),
                 (['"2025-03-01T07:00:00"', '"2025-03-01T07:00:01"'], "iso8601", [0, 1]),
@@ -175,8 +175,8 @@ SECONDS = '{"sec": 1740808800, "nsec": 1999}'
                 ([SECONDS, SECONDS.replace("1999", "1000000000")] * 2, "iso8601", [1e-6] * 2),
             )
         ),
-        (ros2_stamped(), {"stamp": "stamp"}, [0, 1, 2]),
-        (ros2_stamped(), {"stamp": "at", "time_format": "epoch_s"}, [0.25] * 3),
+        (ros2_stamped(), {"time": "stamp"}, [0, 1, 2]),
+        (ros2_stamped(), {"time": "at", "time_format": "epoch_s"}, [0.25] * 3),
         (mcap_of([b'{"value": 1}'] * 2), {"time": "publish_time"}, [-5, -4.999]),
     ],
 )
@@ -191,7 +191,7 @@ def test_stamps(tmp_path: Path, data: bytes, keys: dict[str, str], wanted: list[
 
 def test_a_stamp_may_be_a_reading_too(tmp_path: Path) -> None:
     numbers = mcap_of([b'{"t": 1740808800123}', b'{"t": 1740808801123}'])
-    log = read(tmp_path, numbers, source_of("t", stamp="t", time_format="epoch_ms"))
+    log = read(tmp_path, numbers, source_of("t", time="t", time_format="epoch_ms"))
     channel = log.channels["pressure_difference"]
     assert channel.value.tolist() == [1740808800123.0, 1740808801123.0]
     assert (channel.time_us - T0_US).tolist() == [123_000, 1_123_000]
@@ -253,10 +253,10 @@ LATE = '{"sec": 1740808800, "nsec": 1000000000}'
     [
         (NESTED, {"field": "p.c"}, "log_column_missing", "'p.a', 'p.b[0]', 'p.b[1].c'"),
         (mcap_of([b'{"bar": 1}', b'{"bar": 2}']), {}, "log_column_missing", "'value'; there are"),
-        (stamped(LATE), {"stamp": "head.t"}, "log_time", "head.t"),
-        (stamped(SECONDS), {"stamp": "head.none"}, "log_time", "head.none"),
-        (stamped("1740808800"), {"stamp": "head.t"}, "log_time", "head.t"),
-        (mcap_of([b'{"t": "2025-03-01T06:00:00Z"}']), {"field": "t", "stamp": "t"}, "log_type", ""),
+        (stamped(LATE), {"time": "head.t"}, "log_time", "head.t"),
+        (stamped(SECONDS), {"time": "head.none"}, "log_time", "head.none"),
+        (stamped("1740808800"), {"time": "head.t"}, "log_time", "head.t"),
+        (mcap_of([b'{"t": "2025-03-01T06:00:00Z"}']), {"field": "t", "time": "t"}, "log_type", ""),
         (two_kinds(alike=False), {}, "log_encoding", "two kinds"),
         *(
             (mcap_of([b""], schema, encoding), {}, "log_encoding", TOPIC)

@@ -114,7 +114,7 @@ def test_stamps_within_messages_are_cut_off_to_microseconds(
     payloads = [
         hydraulics(total=i, **({"stamp": text} if text else {})) for i, text in enumerate(texts)
     ]
-    log = read(tmp_path, protobuf(payloads, DESCRIPTORS), source_of("total", stamp="stamp"))
+    log = read(tmp_path, protobuf(payloads, DESCRIPTORS), source_of("total", time="stamp"))
     times = log.channels["pressure_difference"].time_us
     assert (times - T0_US).tolist() == [1, 1_000_000]
     assert log.notes == ("1 message without a readable time",)
