@@ -12,9 +12,8 @@ import pytest
 
 from pipeline.config import Execution
 from pipeline.errors import EngineError
-from pipeline.workers import cluster
-from pipeline.workers.cluster import CODE, do_on_worker, own_versions
-from pipeline.workers.engine import open_workers
+from pipeline.workers import engine
+from pipeline.workers.engine import CODE, do_on_worker, open_workers, own_versions
 from pipeline.workers.process import Loss
 from tests.pipeline.dask_processes import Processes, scheduler_with
 from tests.pipeline.dask_tasks import Number, Wait, kill_workers_at_three, square, wait_for_word
@@ -68,8 +67,8 @@ def test_what_a_task_does_to_its_worker_costs_no_other(two_workers: Processes) -
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cluster, "WAIT_S", 1.0)
-    monkeypatch.setattr(cluster, "TASKS_IN_FLIGHT", 1)
+    monkeypatch.setattr(engine, "WAIT_S", 1.0)
+    monkeypatch.setattr(engine, "TASKS_IN_FLIGHT", 1)
     with scheduler_with(1, "--no-nanny") as processes:
         execution = processes.execution()
         results = run(execution, kill_workers_at_three, list(range(6)))
@@ -88,7 +87,7 @@ def test_a_scheduler_without_workers_and_one_that_is_gone(
 ) -> None:
     with scheduler_with(0) as processes:
         with monkeypatch.context() as patch:
-            patch.setattr(cluster, "WAIT_S", 0.5)
+            patch.setattr(engine, "WAIT_S", 0.5)
             assert code_of(processes.execution()).code == "scheduler_unreachable"
         processes.add_worker("--no-nanny")
         with open_workers(processes.execution()) as workers:
@@ -105,7 +104,7 @@ def test_few_tasks_are_in_flight_and_a_stopped_run_takes_its_own_back(
 ) -> None:
     from distributed import Client
 
-    monkeypatch.setattr(cluster, "TASKS_IN_FLIGHT", 3)
+    monkeypatch.setattr(engine, "TASKS_IN_FLIGHT", 3)
     with (
         open_workers(two_workers.execution()) as workers,
         Client(two_workers.address, set_as_default=False) as client,
@@ -125,7 +124,7 @@ def test_a_cluster_of_other_versions_is_refused(
     two_workers: Processes, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     mine = {**own_versions(), name: "0.0"}
-    monkeypatch.setattr("pipeline.workers.cluster.own_versions", lambda: mine)
+    monkeypatch.setattr("pipeline.workers.engine.own_versions", lambda: mine)
     error = code_of(two_workers.execution())
     assert error.code == "scheduler_unfit"
     assert f"{name} is " in error.message
