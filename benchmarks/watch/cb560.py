@@ -25,7 +25,7 @@ from benchmarks.watch.simulator import (
 from leakage import regressors
 from leakage.physics.oil import FilmPressure, Oil
 from pipeline.arrays import Array
-from pipeline.demo.recording import autoregression, phi_of
+from pipeline.demo.fleet import autoregression, phi_of
 
 VG46 = Oil.from_reference_viscosities(
     "VG 46",

@@ -27,7 +27,7 @@ from benchmarks.watch.simulator import (
     history,
 )
 from pipeline.arrays import Array
-from pipeline.demo.recording import autoregression
+from pipeline.demo.fleet import autoregression
 
 BASELINE, CHANGE, YEAR = 60, 75, 365
 RIG, PLAIN = "pump rig", ("healthy", "plain")

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.watch.simulator import STEP_S, Duty, Errors, Machine, State, levels
 from pipeline.arrays import Array
-from pipeline.demo.recording import autoregression, phi_of
+from pipeline.demo.fleet import autoregression, phi_of
 
 BASELINE = 15  # nights whose conditions are the machine's own
 ROWS = round(3600.0 / STEP_S)

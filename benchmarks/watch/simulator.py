@@ -22,7 +22,7 @@ from leakage.watch import Machine as Watched
 from leakage.watch import NightBlocks
 from pipeline.arrays import Array
 from pipeline.config import load_fleet
-from pipeline.demo.recording import phi_of
+from pipeline.demo.fleet import phi_of
 
 STEP_S, BLOCK_S = 10.0, 120.0
 OWN_SAMPLES = 480  # of the baseline, at which the motor's own change is taken

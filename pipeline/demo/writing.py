@@ -21,8 +21,15 @@ from mcap.writer import CompressionType, Writer
 
 from pipeline.config import Channel, MotorFile, load_fleet
 from pipeline.demo import shipped_configs
-from pipeline.demo.fleet import DEMO_FLEET, DemoNight, Plan, truth_document
-from pipeline.demo.recording import FloatArray, Recording, record_night
+from pipeline.demo.fleet import (
+    DEMO_FLEET,
+    DemoNight,
+    FloatArray,
+    Plan,
+    Recording,
+    record_night,
+    truth_document,
+)
 from pipeline.errors import UsageError
 from pipeline.units import from_canonical
 

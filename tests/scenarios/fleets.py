@@ -17,9 +17,18 @@ from polars import DataFrame
 from leakage import OperatingConditions, leakage_l_per_min
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.demo import shipped_configs
-from pipeline.demo.fleet import PISTON, RING, SLEEVE, DemoMotor, DemoNight, Plan, truth_document
+from pipeline.demo.fleet import (
+    PISTON,
+    RING,
+    SLEEVE,
+    DemoMotor,
+    DemoNight,
+    Plan,
+    Recording,
+    record_night,
+    truth_document,
+)
 from pipeline.demo.fleet import Wear as DemoWear
-from pipeline.demo.recording import Recording, record_night
 from pipeline.demo.writing import write_log
 from tests.scenarios.command import Result, examined, run_command
 

@@ -17,14 +17,12 @@ from pipeline.demo.fleet import (
     DEMO_FLEET,
     DemoNight,
     Plan,
-    coefficients_of,
-    reference_leakage,
-)
-from pipeline.demo.recording import (
     autoregression,
+    coefficients_of,
     correlated_noise,
     phi_of,
     record_night,
+    reference_leakage,
     simulate_operation,
 )
 from pipeline.demo.writing import write_demo, write_log

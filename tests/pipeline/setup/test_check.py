@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.config import Channel, load_fleet
-from pipeline.demo.recording import correlated_noise
+from pipeline.demo.fleet import correlated_noise
 from pipeline.ingest import RawChannel
 from pipeline.setup.check import MotorCheck, check_motor
 from pipeline.setup.samples import sampling_note
