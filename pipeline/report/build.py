@@ -35,8 +35,13 @@ from pipeline.report.charts import (
 )
 from pipeline.report.explain import EXPLAINED, conditions, of_model, paragraphs
 from pipeline.report.plotly_json import figure, script_json
-from pipeline.report.status import current_states
-from pipeline.report.tables import MotorHistory, by_motor, finite_rows, motor_histories
+from pipeline.report.status import (
+    MotorHistory,
+    by_motor,
+    current_states,
+    finite_rows,
+    motor_histories,
+)
 from pipeline.schema import ALARMS, NIGHTS, PREDICTIONS, frame
 from pipeline.store.atomic_files import (
     TEMPORARY_PREFIX,

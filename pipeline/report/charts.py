@@ -18,7 +18,7 @@ from leakage.estimation.blocks import TRAINING, VALIDATION
 from pipeline.arrays import Array, keep_extremes
 from pipeline.config.motors import Event
 from pipeline.messages import figure, plain
-from pipeline.report.tables import MotorHistory
+from pipeline.report.status import MotorHistory
 from pipeline.trends.decisions import LEAKAGE
 from pipeline.trends.motor_states import what_of
 from pipeline.trends.sentences import DATED, cause_words
