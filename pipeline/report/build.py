@@ -95,8 +95,8 @@ class Folder:
 
     def __init__(self, path: Path, program: str) -> None:
         self.path, self.program = path, program
-        # Files that the report has now, those of nights with a digest of what they are made from,
-        # and those of the last report.
+        # Files that the report has now with a digest of what they are made from, and those of the
+        # last report.
         self.files: dict[str, str] = {}
         self.before: dict[str, str] = {}
         self.written: list[Path] = []
@@ -295,14 +295,25 @@ def _make_pages(
 def _make_motor_pages(
     output: Path, motors: Sequence[MotorHistory], facts: Mapping[str, Any], folder: Folder
 ) -> None:
-    """Make the motors' pages, each with its decisions and changes of state."""
+    """Make the pages of motors of which something has changed."""
     alarms = by_motor(read_rows(output, ALARMS, [motor.motor_id for motor in motors]))
     decisions = read_decisions(output)
     for motor in motors:
-        own = [decision for decision in decisions if decision.motor_id == motor.motor_id]
-        values = _motor_values(motor, newest_changes(alarms.get(motor.motor_id, frame(ALARMS, []))))
-        page = page_of("motor.html", facts=facts, decisions=own, **values)
-        folder.write(f"motors/{motor.motor_id}.html", page.encode())
+        motor_id, spec = motor.motor_id, motor.spec
+        changes = newest_changes(alarms.get(motor_id, frame(ALARMS, [])))
+        own = [decision for decision in decisions if decision.motor_id == motor_id]
+        # The run in a row stands for what else it wrote.
+        rows = {name: int(of.hash_rows().sum()) for name, of in motor.trends.items()}
+        rows["nights"] = int(motor.rows.hash_rows().sum())
+        # What the page says nothing of leaves it as it is.
+        state = {name: of for name, of in motor.state.row.items() if name != "data_age_nights"}
+        stated = (spec.motor_type, spec.file) if spec else ()
+        parts = (rows, state, motor.state.intraday, motor.reference, changes, own, facts, stated)
+        digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+        if not folder.keep(name := f"motors/{motor_id}.html", digest):
+            values = _motor_values(motor, changes)
+            page = page_of("motor.html", facts=facts, decisions=own, **values)
+            folder.write(name, page.encode(), digest)
 
 
 def _motor_values(motor: MotorHistory, changes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
