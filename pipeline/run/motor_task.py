@@ -12,6 +12,7 @@ import logging
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import polars as pl
@@ -398,35 +399,27 @@ class _StoredNights:
     """The published nights of a motor; `unpublished` has own rows of nights without trends yet."""
 
     def __init__(self, output: Path, motor_id: str, unpublished: Mapping[dt.date, Row]) -> None:
-        self._output = output
-        self._motor_id = motor_id
-        self._unpublished = unpublished
-        self._month = ""
-        self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
+        self._output, self._motor_id, self._unpublished = output, motor_id, unpublished
+        # Nights are made in order of time: what a fit anew needs of a month is read once.
+        self._of_month = lru_cache(maxsize=len(FROM_TABLES) + 2)(self._read)
 
     def rows(self, label: dt.date, tables: Iterable[Table]) -> dict[str, list[Row]]:
-        """Return rows of a night by table."""
-        return {table.name: self._rows(table, label) for table in tables}
+        """Return rows of a night by table; none where its month's files are absent or damaged."""
+        rows = {}
+        for table in tables:
+            of_night = self._of_night(table, label)
+            rows[table.name] = [] if of_night is None else of_night.to_dicts()
+        if label in self._unpublished:
+            rows[NIGHTS.name] = [dict(self._unpublished[label])]
+        return rows
 
     def night(self, label: dt.date) -> tuple[dict[str, list[Row]], pl.DataFrame | None]:
         """Return rows of a night that a fit anew needs, and its blocks."""
         rows = self.rows(label, map(TABLE_OF.__getitem__, FROM_TABLES))
         return rows, self._of_night(BLOCKS, label)
 
-    def _rows(self, table: Table, label: dt.date) -> list[Row]:
-        """Rows of the motor in a night; none where its month's files are absent or damaged."""
-        if table is NIGHTS and label in self._unpublished:
-            return [dict(self._unpublished[label])]
-        rows = self._of_night(table, label)
-        return [] if rows is None else rows.to_dicts()
-
     def _of_night(self, table: Table, label: dt.date) -> pl.DataFrame | None:
-        month = f"{label:%Y-%m}"
-        if month != self._month:
-            self._nights, self._month = {}, month
-        if table.name not in self._nights:
-            self._nights[table.name] = self._read(table, month)
-        return self._nights[table.name].get(label)
+        return self._of_month(table, f"{label:%Y-%m}").get(label)
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
         if not files_of(self._output, table, days_of(month)):
