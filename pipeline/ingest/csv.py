@@ -10,7 +10,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -62,6 +62,7 @@ _PACKERS = {
 _HEAD = 2**20
 _SPAN_PIECE = 2**16
 _SHOWN = 60
+_NAME = r"^[^\d+.,-]*\p{L}"
 _OPEN_QUOTE = "a quotation mark is opened and not closed in its row"
 
 
@@ -149,6 +150,7 @@ class _Rows:
         self.table = RawTable(file, columns, partial(_stamps, file.logs), numbers)
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
+        self.head = b""  # the lines above the rows
         self.torn = self.rows = self.ragged = 0
         self.first_ragged = ""
 
@@ -164,6 +166,7 @@ class _Rows:
         start = 0
         if not self.names:
             names, start = _header(self.path, self.logs, data)
+            self.head = data[:start]
             self.go_on(names)
         if not data.endswith((b"\n", b"\r")):
             self.torn += bool(data)
@@ -177,9 +180,6 @@ class _Rows:
         outcome = None
         with suppress(pa.ArrowInvalid):
             outcome = self._parsed(types, data, start)
-        # A header would be no number, and is no other text than any.
-        if outcome is None or outcome[1].count or types == texts:
-            self._require_no_other_header(data, start)
         try:
             table, ragged = outcome or self._parsed(texts, data, start)
         except pa.ArrowInvalid as error:
@@ -187,6 +187,11 @@ class _Rows:
             raise LogError("log_damaged", self.path, how) from error
         if ragged.swallowed:
             raise LogError("log_damaged", self.path, f"{_OPEN_QUOTE}: {ragged.swallowed!r}")
+        if ragged.header:
+            raise self._other_header(ragged.header)
+        # A header is no number, and no other text than any.
+        if outcome is None or types == texts:
+            self._require_no_other_header(table)
         self.ragged += ragged.count
         self.first_ragged = self.first_ragged or ragged.first
         self.rows += table.num_rows
@@ -199,7 +204,7 @@ class _Rows:
         self, types: Mapping[str, pa.DataType], data: bytes, start: int
     ) -> tuple[pa.Table, _Ragged]:
         """Columns by position, as some types, and the rows that are left out."""
-        ragged = _Ragged()
+        ragged = _Ragged(self._is_header)
         # Columns go by position: names may repeat, or be those of no column that is wanted.
         table = arrow_csv.read_csv(
             pa.BufferReader(pa.py_buffer(memoryview(data)[start:])),
@@ -228,24 +233,40 @@ class _Rows:
         types |= dict.fromkeys(self.columns.time, pa.string() if logs.date_column else time)
         return {str(at): types[name] for name, at in self.position.items()}
 
-    def _require_no_other_header(self, data: bytes, start: int) -> None:
+    def _is_header(self, line: str) -> bool:
+        """True for a row of another width that has a name in the place of the time."""
+        time = self.columns.time[0]
+        if time in line:
+            with suppress(LogError):
+                cells, place = _cells(self.path, self.logs, line.encode()), self.position[time]
+                return time in cells and place < len(cells) and cells[place] in self.names
+        return False
+
+    def _require_no_other_header(self, table: pa.Table) -> None:
         """Refuse a header with other columns: read on by position, they would be taken for these.
 
-        The same header again is a row without a time.
+        Its cells are names that differ, and no stamp. Lines of the file's head that come again are
+        rows without a time.
         """
-        time = self.columns.time[0]
-        if data.find(time.encode(), start) < 0:
+        if not self.columns.numbers:
             return
-        for line in data[start:].splitlines():
-            cells: tuple[str, ...] = ()
-            if time.encode() in line:
-                with suppress(LogError):
-                    cells = _cells(self.path, self.logs, line)
-            place = self.position[time]
-            here = cells[place] if place < len(cells) else None
-            if cells != self.names and time in cells and here in self.names:
-                how = "another header, with other columns than the first: split the log before "
-                raise LogError("log_not_csv", self.path, how + repr(line.decode()[:_SHOWN].strip()))
+        wanted = [self.position[name] for name in (*self.columns.time, *self.columns.numbers)]
+        places = list(map(str, wanted))
+        is_named = pl.all_horizontal(pl.col(places).str.contains(_NAME))
+        rows = pl.DataFrame(table).filter(is_named).select(pl.col(places).str.strip_chars())
+        if rows.is_empty():
+            return
+        times = rows.to_arrow().columns[: len(self.columns.time)]
+        without_time = rows.filter(_stamps(self.logs, times).kind == 0)
+        head = [_cells(self.path, self.logs, line) for line in self.head.splitlines()]
+        known = {tuple(line[at] for at in wanted) for line in head if len(line) > max(wanted)}
+        for cells in without_time.iter_rows():
+            if cells not in known and len({*cells}) == len(cells):
+                raise self._other_header(self.logs.separator.join(cells))
+
+    def _other_header(self, line: str) -> LogError:
+        how = "another header, with other columns than the first: split the log before "
+        return LogError("log_not_csv", self.path, how + repr(line[:_SHOWN].strip()))
 
     def log(self) -> RawLog:
         """All that was read."""
@@ -273,14 +294,18 @@ class _Rows:
 class _Ragged:
     """Rows of a piece that have another width."""
 
+    is_header: Callable[[str], bool]
     count: int = 0
     first: str = ""  # its cells and begin, for a message
+    header: str = ""  # the first that is one
     swallowed: str = ""  # begin of the first that goes over several lines
 
     def leave_out(self, row: Any) -> str:
         """Count a row; nothing else is kept of it, as there may be many."""
         if not self.count:
             self.first = f"{row.actual_columns} in {row.text[:_SHOWN]!r}"
+        if not self.header and self.is_header(row.text):
+            self.header = row.text
         if not self.swallowed and "\n" in row.text.rstrip("\r\n"):
             self.swallowed = row.text[:_SHOWN]
         self.count += 1

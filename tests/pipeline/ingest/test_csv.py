@@ -117,6 +117,10 @@ READ: dict[str, Case] = {
         f"{HEAD}UTC,bar,rpm\n{ROWS}{HEAD}UTC,bar,rpm\n{ROWS}",
         *({"unit_rows": 1}, [0, 1, 2, 3, 4] * 2, 0, ("2 rows without a readable time",)),
     ),
+    "rows of words": (
+        f"{HEAD}{ROWS}Logger,off,off\nstate,dp,9\n",
+        *({}, [0, 1, 2, 3, 4], 0, ("2 rows without a readable time",)),
+    ),
     "an hour that never comes": (
         HEAD + "".join(f"2025-03-30 0{t},{t[-1]},1\n" for t in ("1:58", "1:59", "2:31", "3:00")),
         *(IN_STOCKHOLM, [8, 9, 0], 0, (NO_HOUR,)),
@@ -230,7 +234,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
         )
         for header in (
             *("n,time,dp", "time,dp_bar,n", "time,n,dp", "n,x,time,dp", "time,dp,n,dp"),
-            '"time",dp,speed',
+            *('"time",dp,speed', "Time,n,dp", "Zeit,Drehzahl,Druck", "DateTime,T [°C],n"),
         )
         for form in ("iso8601", WITH_ZONE)
     },
