@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial
-from itertools import chain, combinations, product
+from itertools import combinations, product
 from operator import itemgetter
 from statistics import median
 from typing import Any, NamedTuple
@@ -120,13 +120,8 @@ def column_change(
         for is_of_others in ((False, True) if is_fitted else (False,))
         for other_unit in _other_units(spec, model_flow, usual, now, is_of_others=is_of_others)
     ]
-    likeliest = min(units, key=itemgetter(0), default=None)
-    changes = (
-        _swapped(usual, now),
-        () if likeliest is None else (likeliest[1],),
-        _other_gauge(spec, usual, now),
-    )
-    return next(chain.from_iterable(changes), None)
+    likeliest = min(units, key=itemgetter(0), default=(0.0, None))[1]
+    return _swapped(usual, now) or likeliest or _other_gauge(spec, usual, now)
 
 
 def _model_flow(
@@ -140,19 +135,20 @@ def _model_flow(
     return None
 
 
-def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Iterator[Change]:
-    """Yield pairs of columns that changed places; the flow is as before."""
+def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Change | None:
+    """Return a pair of columns that changed places, or None; the flow is as before."""
     if _factor(now[FLOW], usual[FLOW]) > FAR:
-        return
+        return None
     for channel, other in combinations(PLACES, 2):
         are_far = all(_factor(now[name], usual[name]) > FAR for name in (channel, other))
         pairs = (now[channel], usual[other]), (now[other], usual[channel])
         if are_far and all(_factor(*pair) < NEAR for pair in pairs):
-            yield Change(
+            return Change(
                 f"columns changed? {plain(channel)} and {plain(other)} look swapped: "
-                f"{_said(channel, now)} and {_said(other, now)}, "
-                f"usually {_said(channel, usual)} and {_said(other, usual)}"
+                f"{_reading(channel, now)} and {_reading(other, now)}, "
+                f"usually {_reading(channel, usual)} and {_reading(other, usual)}"
             )
+    return None
 
 
 def _other_units(
@@ -198,12 +194,14 @@ def _other_units(
 
 def _other_gauge(
     spec: MotorSpec, usual: Mapping[str, float], now: Mapping[str, float]
-) -> Iterator[Change]:
-    """Yield a difference of two gauges that no load makes with the same flow."""
+) -> Change | None:
+    """Return a difference of two gauges that no load makes with the same flow, or None."""
     far = _factor(now[DIFFERENCE], usual[DIFFERENCE])
     is_as_before = _factor(now[FLOW], usual[FLOW]) <= FAR
     if far > GAUGE_FAR and DIFFERENCE not in spec.file.channels and is_as_before:
-        yield Change(f"unit changed? {_changed(DIFFERENCE, usual, now)}: of one of its two gauges?")
+        words = f"unit changed? {_changed(DIFFERENCE, usual, now)}"
+        return Change(f"{words}: of one of its two gauges?")
+    return None
 
 
 def _off(
@@ -264,10 +262,10 @@ def _is_known(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -
 
 
 def _changed(name: str, usual: Mapping[str, float], now: Mapping[str, float]) -> str:
-    return f"{plain(name)} {_said(name, now)}, usually {_said(name, usual)}"
+    return f"{plain(name)} {_reading(name, now)}, usually {_reading(name, usual)}"
 
 
-def _said(name: str, values: Mapping[str, float]) -> str:
+def _reading(name: str, values: Mapping[str, float]) -> str:
     return f"{values[name]:.3g} {canonical_unit(name).replace('degC', '°C')}"
 
 
