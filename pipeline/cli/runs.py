@@ -201,7 +201,7 @@ def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> 
     """Fit a motor to a period, and say what came of it."""
     from leakage.errors import LeakageError
     from pipeline.logs.processed import paired_as_published
-    from pipeline.notebook.preparing import fit_periods
+    from pipeline.notebook import fit_periods
 
     try:
         fleet = load(config, None, None)

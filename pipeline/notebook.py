@@ -1,4 +1,7 @@
-"""Samples for `leakage.fit_frame`, cleaned, resampled and chosen as the nightly run does."""
+"""For notebooks: published tables, and samples for `leakage.fit_frame`.
+
+These are cleaned, resampled and chosen as the nightly run does.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,8 @@ from pipeline.night.fit import tolerances
 from pipeline.night.fit_night import choose_parts, clean_channels
 from pipeline.night.statistics import charge_over_case_bar
 from pipeline.night.time_base import Insufficient, Samples
-from pipeline.schema import QUALITY, TIMESTAMP
+from pipeline.schema import QUALITY, TABLES, TIMESTAMP
+from pipeline.store.tables import existing_tables, files_of
 from pipeline.units import canonical_unit
 
 CHANNELS = {
@@ -235,3 +239,48 @@ def _joined(parts: list[Part], settings: Settings) -> Prepared:
         tuple(filter(None, notes)),
         settings,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """The published tables of an output folder."""
+
+    output: Path
+
+    def table(self, name: str) -> pl.LazyFrame:
+        """Return a table by name; columns that an older file lacks are null.
+
+        Raises UsageError (``unknown_table``) if there is none of this name.
+        """
+        known = {table.name: table for table in TABLES}
+        if name not in known:
+            raise UsageError("unknown_table", f"no table {name}; there are {', '.join(known)}")
+        schema = known[name].schema
+        paths = files_of(self.output, known[name])
+        if not paths:
+            return pl.LazyFrame(schema=schema)
+        return pl.scan_parquet(
+            paths,
+            schema=schema,
+            missing_columns="insert",
+            extra_columns="ignore",
+            hive_partitioning=False,
+        )
+
+    def fits(self) -> pl.LazyFrame:
+        """Return the primary fit of each motor and night."""
+        return self.table("fits").filter("is_primary").sort("motor_id", "night")
+
+    def nights(self) -> pl.LazyFrame:
+        """Return the nights of all motors."""
+        return self.table("nights").sort("motor_id", "night")
+
+
+def open_tables(output: Path | str) -> Tables:
+    """Open the published tables of an output folder.
+
+    Raises UsageError (``no_tables``) if there are none.
+    """
+    tables = Tables(Path(output))
+    existing_tables(tables.output)
+    return tables
