@@ -31,7 +31,7 @@ from pipeline.night.masks import (
     step_of_readings,
     stretches,
 )
-from pipeline.night.time_order import Steps, order_of
+from pipeline.night.time_order import Order, Steps, order_of
 from pipeline.units import FALLBACK_VALID_RANGE
 
 # Hampel's filter: samples in its centred window, and scaled MAD off their median that are a spike.
@@ -192,6 +192,7 @@ def clean_channel(
     rules: ChannelRules,
     night_start_us: int | None = None,
     rests: Rests = NO_RESTS,
+    order_of_stamps: Callable[[Times], Order] = order_of,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
@@ -202,7 +203,7 @@ def clean_channel(
     if night_start_us is not None and raw.time_us.min(initial=night_start_us) < night_start_us:
         before = raw.time_us < night_start_us
         early, here = raw.rows(before), raw.rows(chosen_rows(~before))
-    order = order_of(here.time_us)
+    order = order_of_stamps(here.time_us)
     n_put_back, n_backward, n_duplicate = (
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)

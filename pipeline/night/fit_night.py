@@ -50,6 +50,7 @@ from pipeline.night.statistics import (
     sensor_ratio,
 )
 from pipeline.night.time_base import Insufficient, Quality, Samples, bring_together
+from pipeline.night.time_order import order_once
 from pipeline.schema import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL, Row
 from pipeline.units import RUNNING_HOURS
 
@@ -166,12 +167,12 @@ def clean_channels(
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
     names = [name for name in file.channels if name != RUNNING_HOURS]
-    rests = NO_RESTS
+    rests, order = NO_RESTS, order_once()
     cleaned: dict[str, CleanChannel] = {}
     # Each is taken out when it is its turn, the speed first: it says when the motor stood still.
     for name in sorted(names, key=lambda name: name != "speed"):
         rules = ChannelRules.of(name, file.channels[name], cleaning, file.logs)
-        cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, rests)
+        cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, rests, order)
         if name == "speed":
             rests = Rests.of(cleaned[name], cleaning.standstill_rpm)
     cleaned = {name: cleaned[name] for name in names}

@@ -26,6 +26,7 @@ from pipeline.night.masks import (
 from pipeline.night.time_order import (
     Steps,
     backward_time,
+    order_once,
     written_late,
 )
 from tests.pipeline.night.channels import (
@@ -174,6 +175,20 @@ def test_times_that_are_left_are_strictly_increasing_and_all_are_counted(
     refused = cleaned.counts["backward_time"] + cleaned.counts["duplicate_time"]
     assert len(cleaned.time_us) + refused == len(time)
     assert cleaned.counts["any"] == refused + int(cleaned.refused.sum())
+
+
+def test_channels_of_one_table_share_their_order_and_others_have_their_own() -> None:
+    """The stamps are compared: a table with other ones is not put in the first one's order."""
+    order = order_once()
+    first, other = stamps(50), stamps(50)
+    first[[20, 21]] = first[[21, 20]]
+    other[40] = other[39]
+    for time in (first, first.copy(), other, other.copy()):
+        assert order(time) is order(time.copy())
+        alone = clean_channel(raw(time, lively(50)), RULES)
+        shared = clean_channel(raw(time, lively(50)), RULES, order_of_stamps=order)
+        np.testing.assert_array_equal(shared.time_us, alone.time_us)
+        assert (shared.counts, shared.noted) == (alone.counts, alone.noted)
 
 
 @given(
