@@ -21,8 +21,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "queries.md"
 ANSWER = "On the demo:"
 MOST_ROWS = 5
 QUESTION = re.compile(
-    rf"^## (\d+)\. .*?^```sql\n(.*?)^```\n\n{ANSWER}\n\n(.*?)(?=^## |\Z)",
-    re.MULTILINE | re.DOTALL,
+    rf"^## (\d+)\. .*?^```sql\n(.*?)^```\n\n{ANSWER}\n\n(.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL
 )
 
 

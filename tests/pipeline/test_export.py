@@ -17,15 +17,7 @@ from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
 from pipeline.export import CsvRequest, as_text, export_csv, tables_named
-from pipeline.schema import (
-    FITS,
-    LOG_FILES,
-    PARAMETERS,
-    TABLES,
-    TIMESTAMP,
-    Table,
-    frame,
-)
+from pipeline.schema import FITS, LOG_FILES, PARAMETERS, TABLES, TIMESTAMP, Table, frame
 from pipeline.store.tables import read_table, table_folder
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.written import night_file

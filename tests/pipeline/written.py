@@ -59,9 +59,7 @@ def write_nights(output: Path, table: Table, rows: pl.DataFrame) -> None:
 
 
 # Files and folders of an output that outlive a run.
-LASTING = {
-    *("tables", "lock", "heartbeat.json", "views.sql", STATE_FILE),
-}
+LASTING = {*("tables", "lock", "heartbeat.json", "views.sql", STATE_FILE)}
 
 
 def processed_of(output: Path, motor_id: str = "M1") -> ProcessedLogs:

@@ -23,11 +23,7 @@ from leakage.physics.oil import (
     walther_coefficients,
 )
 from leakage.physics.paths import Constant, Parameter
-from tests.leakage.placeholders import (
-    piston_ring,
-    placeholder_motor,
-    placeholder_oil,
-)
+from tests.leakage.placeholders import piston_ring, placeholder_motor, placeholder_oil
 
 
 def random_conditions(n: int, seed: int = 1) -> OperatingConditions:

@@ -80,7 +80,7 @@ def test_oil_of_a_tank_is_common_and_a_break_among_drifts_is_the_motors_own() ->
 
 
 BEFORE, AFTER = 30, 12
-SEEDS = range(40, 43)
+SEEDS = range(40, 42)
 GAPS = np.array([0.1, 0.1, 0.1, 0.0])
 
 
@@ -111,14 +111,14 @@ def n_held(found: list[Comparison], truth: float) -> int:
 def test_nothing_has_changed(what: dict[str, Any]) -> None:
     found = comparisons(Plant(film="slot", **what))
     assert max(one.probability for one in found) < 0.5
-    assert n_held(found, 0.0) >= len(found) - 1
+    assert n_held(found, 0.0) == len(found)
 
 
 @pytest.mark.parametrize("after", [2, AFTER])
 def test_a_change_is_sure_and_its_size_held(after: int) -> None:
     found = comparisons(Plant(film="slot", growth=grown("all_gaps", 0.1, BEFORE)), after)
     assert min(one.probability for one in found) > 0.95
-    assert n_held(found, of_flow(GAPS, "slot")) >= len(found) - 1
+    assert n_held(found, of_flow(GAPS, "slot")) == len(found)
 
 
 def probability(size: float, nights: int) -> float:

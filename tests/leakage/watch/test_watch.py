@@ -11,12 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.watch import Machine, NightBlocks, Watch, WatchSettings, adoption, choices, wander
-from leakage.watch.adoption import (
-    across_event,
-    in_force_of,
-    with_evidence,
-    with_new_wander,
-)
+from leakage.watch.adoption import across_event, in_force_of, with_evidence, with_new_wander
 from leakage.watch.attribution import attribute
 from leakage.watch.evidence import Sums
 from leakage.watch.odd_nights import odd_nights_are_single

@@ -24,9 +24,7 @@ from tests.pipeline.calling import CSV, PARQUET, Call, change, without_workers
 
 
 def test_143_while_publishing(
-    call: Call,
-    own_fleet: OwnFleet,
-    monkeypatch: pytest.MonkeyPatch,
+    call: Call, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     came: list[int] = []
 

@@ -19,6 +19,7 @@ from pipeline.config.hashes import (
     config_hash,
     model_hash,
     reading_hash,
+    settings_of,
     why_anew,
 )
 from pipeline.config.motor_types import LaminarPath, LeakageLimits, OilSample, Unknown
@@ -51,10 +52,7 @@ def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
         OilSample(date=NIGHT + DAY, viscosity_40_c_mm2_per_s=61.0, viscosity_100_c_mm2_per_s=8.1),
     )
     file = spec.file.model_copy(
-        update={
-            "events": (Event(date=NIGHT - 30 * DAY, kind="overhaul"),),
-            "oil_samples": samples,
-        }
+        update={"events": (Event(date=NIGHT - 30 * DAY, kind="overhaul"),), "oil_samples": samples}
     )
     unknown = Unknown(value=1e-14, minimum=0.0, maximum=1e-12)
     valve = LaminarPath(
@@ -232,3 +230,21 @@ def test_another_version_of_a_reader_reads_anew(
 )
 def test_what_changed_is_named(before: dict[str, Any], now: dict[str, Any], words: str) -> None:
     assert why_anew(before, now) == words
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "of_nights"),
+    [("cleaning", "standstill_rpm", True), ("alarms", "alarm_percent", False)],
+)
+def test_settings_of_nights_are_kept_apart_from_those_of_trends(
+    spec: MotorSpec, table: str, key: str, of_nights: bool
+) -> None:
+    section = getattr(spec.settings, table)
+    new = section.model_copy(update={key: getattr(section, key) + 1})
+    changed = replace(spec, settings=spec.settings.model_copy(update={table: new}))
+    before, now = settings_of(spec), settings_of(changed)
+    assert (before["nights"] != now["nights"], before["trends"] != now["trends"]) == (
+        of_nights,
+        not of_nights,
+    )
+    assert why_anew(before, now, trends=True) == f"changed setting {table}.{key}"

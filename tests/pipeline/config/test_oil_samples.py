@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from leakage.physics.oil import kinematic_viscosity_mm2_per_s
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import SettingsHashes, config_hash
 from pipeline.config.motor_types import OilSample
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml
+from tests.pipeline.config.conftest import TYPE, Configs
 from tests.pipeline.trends.nights import FIRST, event, motor, named, night_of
 
 
@@ -82,69 +81,26 @@ def test_only_the_figures_of_nights_with_another_curve_are_made_anew() -> None:
 # Constants of a path may be points of a simulation
 
 
-DEFORMATION_BAR, GAP_UM = 150.0, 20.0
-# [bar, µm, l/min] at constant viscosity.
-POINTS = ", ".join(
-    f"[{bar}, {GAP_UM}, {GAP_UM**3 * bar * np.exp(-3.0 * bar / DEFORMATION_BAR):.15g}]"
-    for bar in (10.0, 40.0, 90.0, 160.0, 250.0, 320.0)
-)
-QUINTIC = (3.125e-14, 0.0, 0.0, -5e-7, 1.5e-4, 0.004)
-SPEEDS = (0.0, 20.0, 50.0, 90.0, 130.0, 170.0, 200.0)
-CURVE = ", ".join(f"[{rpm}, {np.polyval(QUINTIC, rpm):.15g}]" for rpm in SPEEDS)
-
-
-def axial(deformation: str, curve: str) -> str:
-    """A type without rings or sleeves, with a distributor whose coefficient is searched."""
-    return f"""
-motor_type = "AX-9"
-
-[[path]]
-name = "piston_clearance"
-law = "annular_gap"
-source = "invented"
-count = 5
-radius_mm = 12.0
-length_mm = 40.0
-{deformation}
-gap_um = {{ value = {GAP_UM}, minimum = 2.0, maximum = 90.0 }}
-eccentricity = {{ value = 0.8, minimum = 0.0, maximum = 1.0 }}
-
-[[path]]
-name = "distributor"
-law = "laminar"
-source = "invented"
-count = 2
-coefficient_m3 = {{ value = 5e-15, minimum = 0.0, maximum = 1e-12 }}
-
-[[path]]
-name = "slipper"
-law = "speed_curve"
-source = "invented"
-count = 5
-{curve}
-reference_pressure_bar = 250.0
-reference_viscosity_mpa_s = 30.0
-"""
-
-
-def test_points_of_a_simulation_stand_for_constants(tmp_path: Path) -> None:
-    constants = axial(
-        f"deformation_pressure_bar = {DEFORMATION_BAR}",
-        f"coefficients = {list(QUINTIC)}\nspeed_range_rpm = [0.0, 200.0]",
+def test_points_of_a_simulation_stand_for_constants(configs: Configs) -> None:
+    """Of a gap the flow at constant viscosity [bar, µm, l/min], of a roller that by speed."""
+    quintic, speeds = (
+        [2.0e-11, -7.0e-9, 9.0e-7, -5.0e-5, 1.6e-3, 4.0e-3],
+        (0, 20, 45, 70, 90, 110, 125),
     )
-    points = axial(f"deformation_points = [{POINTS}]", f"points = [{CURVE}]")
-    conditions = OperatingConditions.from_bar(
-        np.array([20.0, 200.0, 310.0]), np.array([30.0, 50.0, 70.0]), np.array([10.0, 90.0, 190.0])
+    bars = (10.0, 40.0, 90.0, 160.0, 250.0, 320.0)
+    gap = [[bar, 8.0, 8.0**3 * bar * math.exp(-3.0 * bar / 120.0)] for bar in bars]
+    curve = [[rpm, float(np.polyval(quintic, rpm))] for rpm in map(float, speeds)]
+    at = OperatingConditions.from_bar(
+        np.array([20.0, 200.0, 310.0]), np.array([30.0, 50.0, 70.0]), np.array([10.0, 60.0, 120.0])
     )
-    by_points, by_constants = (
-        path_flows_l_per_min(
-            load_motor(tmp_path / name, motor_toml("AX", "AX-9"), {"AX-9": text}).motor(
-                NIGHT, "none"
-            ),
-            conditions,
-        )
-        for name, text in (("points", points), ("constants", constants))
-    )
-    assert list(by_points) == ["piston_clearance", "distributor", "slipper", "flushing"]
+    constants = path_flows_l_per_min(configs.motor().motor(FIRST, "none"), at)
+    text = (configs / TYPE).read_text("utf-8")
+    for key, points in (("deformation_pressure_bar = 120.0", gap), ("coefficients = [", curve)):
+        (line,) = [line for line in text.splitlines() if line.startswith(key)]
+        name = "points" if points is curve else "deformation_points"
+        configs.change(TYPE, line, f"{name} = {points}")
+    configs.change(TYPE, "speed_range_rpm = [0.0, 125.0]\n", "")
+    by_points = path_flows_l_per_min(configs.motor().motor(FIRST, "none"), at)
+    assert by_points.keys() == constants.keys()
     for path, flow in by_points.items():
-        np.testing.assert_allclose(flow, by_constants[path], rtol=1e-6)
+        np.testing.assert_allclose(flow, constants[path], rtol=1e-6)

@@ -15,15 +15,7 @@ import polars as pl
 import pytest
 
 from pipeline.run.output import find_damage
-from pipeline.schema import (
-    BLOCKS,
-    FITS,
-    LOG_FILES,
-    PARAMETERS,
-    PREDICTIONS,
-    TRENDS,
-    Table,
-)
+from pipeline.schema import BLOCKS, FITS, LOG_FILES, PARAMETERS, PREDICTIONS, TRENDS, Table
 from pipeline.store.published import VerifiedFile, note, verify_files, verify_tables
 from pipeline.store.state import StateDatabase, open_state
 from pipeline.store.tables import name_of, read_rows

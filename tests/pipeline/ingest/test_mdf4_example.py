@@ -9,11 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import dialect, load_fleet
-from pipeline.ingest.conformance import (
-    Check,
-    a_cut_file_is_an_error_or_its_whole_rows,
-    checks_of,
-)
+from pipeline.ingest.conformance import Check, a_cut_file_is_an_error_or_its_whole_rows, checks_of
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs
 from tests.pipeline.workshop import QUICK

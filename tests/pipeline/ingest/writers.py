@@ -50,10 +50,7 @@ ENCODINGS: dict[str, tuple[tuple[str, str, bytes], Callable[[str, Cell], bytes]]
         ("Value", "jsonschema", b'{"type": "object"}'),
         lambda name, cell: json.dumps({"sensor": name, "value": cell}).encode(),
     ),
-    "protobuf": (
-        (NAME, "protobuf", VALUE),
-        lambda _, cell: b"\x09" + struct.pack("<d", cell),
-    ),
+    "protobuf": ((NAME, "protobuf", VALUE), lambda _, cell: b"\x09" + struct.pack("<d", cell)),
     # Little endian: a text "oil", aligned to four, then a float64, aligned to eight.
     "cdr": (
         ("motor/msg/Value", "ros2msg", b"string sensor\nfloat64 value\n"),

@@ -38,10 +38,7 @@ def fit(spec: MotorSpec, operation: Operation, values: Mapping[str, Any]) -> Nig
 
 
 def fitted(
-    spec: MotorSpec,
-    operation: Operation,
-    flow: Array,
-    more: Mapping[str, Array] | None = None,
+    spec: MotorSpec, operation: Operation, flow: Array, more: Mapping[str, Array] | None = None
 ) -> NightOutcome:
     """A night with this drain flow, which has a fit."""
     outcome = fit(spec, operation, operation.channels(flow) | dict(more or {}))

@@ -119,11 +119,7 @@ VARIED = {"speed": 27.1, "speed lowest": 23.7, "speed highest": 31.7}
     ],
 )
 def test_of_two_units_the_likelier_is_named(
-    tmp_path: Path,
-    usual: dict[str, float],
-    now: dict[str, float],
-    is_fitted: bool,
-    words: str,
+    tmp_path: Path, usual: dict[str, float], now: dict[str, float], is_fitted: bool, words: str
 ) -> None:
     spec, rest = load_motor(tmp_path, motor_toml("M1")), dict(zip(COLUMNS, USUAL, strict=True))
     change = column_change(spec, rest | usual, rest | now, is_fitted=is_fitted)

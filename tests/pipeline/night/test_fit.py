@@ -14,13 +14,7 @@ from leakage import OperatingConditions, regressors, total_flow_l_per_min
 from leakage.estimation.blocks import merge
 from leakage.estimation.misfit import model_errors
 from pipeline.config import MotorSpec
-from pipeline.night.fit import (
-    ErrorParts,
-    assumed_sensors,
-    by_squares,
-    of_extrapolation,
-    tolerances,
-)
+from pipeline.night.fit import ErrorParts, assumed_sensors, by_squares, of_extrapolation, tolerances
 from pipeline.night.fit_night import NightOutcome
 from pipeline.night.rows import Rows
 from pipeline.schema import FAILED, INSUFFICIENT_DATA, OK, QUALITY_REASONS, STOOD_STILL

@@ -21,14 +21,7 @@ from pipeline.schema import FAILED, OK
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, from_canonical, to_canonical
 from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, refused_by, stamps
 from tests.pipeline.night.noise_free import configured_flow, fit, fit_of, fitted
-from tests.pipeline.simulated import (
-    CANONICAL,
-    Array,
-    load_motor,
-    motor_toml,
-    operate,
-    with_channel,
-)
+from tests.pipeline.simulated import CANONICAL, Array, load_motor, motor_toml, operate, with_channel
 
 MOVING = operate(minutes=60.0)
 

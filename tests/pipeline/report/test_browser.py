@@ -20,15 +20,7 @@ from selenium.webdriver.support.ui import Select
 
 from pipeline.config.motors import Event
 from pipeline.report.build import build_report
-from tests.pipeline.report.browser import (
-    complaints,
-    drawn,
-    needs_browser,
-    shown,
-    text,
-    visit,
-    wait,
-)
+from tests.pipeline.report.browser import complaints, drawn, needs_browser, shown, text, visit, wait
 from tests.pipeline.report.conftest import BY_NAME, change_table, demo_fleet
 from tests.pipeline.report.judged import (
     ADVICE,

@@ -16,15 +16,7 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
 from tests.conftest import OwnFleet
-from tests.pipeline.calling import (
-    CSV,
-    MOTORS,
-    PARQUET,
-    output_of,
-    run,
-    status_of,
-    table_files,
-)
+from tests.pipeline.calling import CSV, MOTORS, PARQUET, output_of, run, status_of, table_files
 from tests.pipeline.dask_processes import Processes
 
 

@@ -12,15 +12,7 @@ import pipeline.logs.motor_logs
 import pipeline.run.night_plan
 from pipeline.ingest import read_log
 from tests.pipeline.simulated import NIGHT, SECOND_US, motor_toml, write_configs, write_log
-from tests.pipeline.workshop import (
-    DAY,
-    MINI,
-    MINUTES,
-    QUICK,
-    Workshop,
-    check_same_figures,
-    part,
-)
+from tests.pipeline.workshop import DAY, MINI, MINUTES, QUICK, Workshop, check_same_figures, part
 
 
 @pytest.fixture

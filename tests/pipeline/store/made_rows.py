@@ -34,9 +34,7 @@ def rows(*some: Row, run_id: str = "first") -> pl.DataFrame:
 
 
 def publish(
-    output: Path,
-    motors: Mapping[str, Mapping[Table, StagedNights]],
-    run_id: str = "r",
+    output: Path, motors: Mapping[str, Mapping[Table, StagedNights]], run_id: str = "r"
 ) -> None:
     """Stage nights of motors, and publish them, as a run does."""
     staging = output / "staging" / "run"

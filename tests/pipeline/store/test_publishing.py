@@ -19,15 +19,7 @@ from pipeline.store.publishing import VIEWS, stage, write_views
 from pipeline.store.state import open_state
 from pipeline.store.tables import files_of, read_rows, read_table, table_folder
 from tests.pipeline.calling import contents, refused
-from tests.pipeline.store.made_rows import (
-    LATER,
-    NIGHT,
-    Row,
-    example,
-    publish,
-    publish_night,
-    row,
-)
+from tests.pipeline.store.made_rows import LATER, NIGHT, Row, example, publish, publish_night, row
 from tests.pipeline.written import night_file
 
 MOTORS = st.sampled_from(["A", "AB", "B", "C"])

@@ -13,11 +13,7 @@ import pytest
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import INTERRUPTS, interrupts_held
-from pipeline.store.state import (
-    STATE_FILE,
-    open_state,
-    read_state_file,
-)
+from pipeline.store.state import STATE_FILE, open_state, read_state_file
 
 
 def keep(output: Path, value: str) -> None:

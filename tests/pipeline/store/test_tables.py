@@ -24,13 +24,7 @@ from pipeline.schema import (
 )
 from pipeline.store.atomic_files import put
 from pipeline.store.tables import files_of, nights_back, read_rows, read_table, table_folder
-from tests.pipeline.store.made_rows import (
-    LATER,
-    NIGHT,
-    all_files,
-    row,
-    rows,
-)
+from tests.pipeline.store.made_rows import LATER, NIGHT, all_files, row, rows
 from tests.pipeline.written import night_file, write_table
 
 

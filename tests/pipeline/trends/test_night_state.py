@@ -106,8 +106,7 @@ def test_a_state_by_what_the_watch_says(night: NightState, expected: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("leakage", "expected"),
-    [(1.55, "ok"), (1.65, "warning"), (1.83, "warning"), (1.85, "alarm")],
+    ("leakage", "expected"), [(1.55, "ok"), (1.65, "warning"), (1.83, "warning"), (1.85, "alarm")]
 )
 def test_limits_of_the_motor_type_count_with_97_percent(leakage: float, expected: str) -> None:
     """By the night's own fit before there is a watch; whatever the others on the tank do."""

@@ -22,13 +22,7 @@ from pipeline.trends.checkpoint import blank_records
 from pipeline.trends.course import Course
 from pipeline.trends.decisions import FLOW_ZERO, PRESSURE_ZERO, Decision
 from pipeline.trends.night_state import NightState
-from pipeline.trends.nights import (
-    HALF,
-    LONGEST_SILENCE,
-    PublishedNights,
-    every_night,
-    period_at,
-)
+from pipeline.trends.nights import HALF, LONGEST_SILENCE, PublishedNights, every_night, period_at
 from pipeline.trends.tasks import TrendMotor
 from pipeline.trends.trend_rows import (
     Zero,
@@ -268,11 +262,7 @@ def sampled(*samples: OilSample) -> MotorSpec:
             1.1,
             "oil as measured on 7 January 2026: 10 % thicker than its data sheet",
         ),
-        (
-            logged(motor()),
-            0.9,
-            "oil as measured by the log: 10 % thinner than its data sheet",
-        ),
+        (logged(motor()), 0.9, "oil as measured by the log: 10 % thinner than its data sheet"),
     ],
 )
 def test_words_on_a_measured_oil(spec: MotorSpec, ratio: float | None, expected: str) -> None:

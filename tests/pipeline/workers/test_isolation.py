@@ -6,12 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from pipeline.config import Execution
-from pipeline.workers.engine import HUGE_PAGES, open_workers
+from pipeline.workers.engine import HUGE_PAGES, Workers, open_workers
 from pipeline.workers.process import Loss
 from tests.pipeline.misbehaviour import (
     count_beside_or_die,
@@ -41,33 +42,65 @@ EXPECTED = {
     "kill": ("worker_died", "its worker process ended with SIGKILL(-9)"),
     "segfault": ("worker_died", "SIGSEGV(-11)"),
 }
-# One of each kind that does not hang; the others in the full run.
-QUICK = [(("panic", "eat_with_polars"), 2)]
-ALL = [*(((name,), 2) for name in EXPECTED), (("kill",), 1), (("hang_in_c",), 1)]
+ALL = [*((name, 2) for name in EXPECTED), ("kill", 1), ("hang_in_c", 1)]
 
 
 def not_lost(_: object, loss: Loss) -> object:
     raise AssertionError(loss)
 
 
-@pytest.mark.parametrize(
-    ("names", "n_workers"),
-    [*QUICK, *(pytest.param(*case, marks=pytest.mark.full) for case in ALL)],
-)
-def test_what_a_task_does_to_its_worker_costs_itself_alone(
-    names: tuple[str, ...], n_workers: int
+@pytest.fixture(scope="module")
+def pool() -> Iterator[Workers]:
+    """Two workers, which leave nothing of themselves behind."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("GLIBC_TUNABLES", "glibc.malloc.check=3")
+        before = dict(os.environ)
+        with open_workers(LIMITS) as workers:
+            yield workers
+        assert workers_of(os.getpid()) == 0
+        assert dict(os.environ) == before
+
+
+def test_workers_stay_have_variables_of_their_own_and_are_heard(
+    pool: Workers, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """They begin here, so that what they write is captured."""
+    # One of the two may do all of a call.
+    pids = {pid for _ in range(3) for pid in pool.run(own_pid, range(6), not_lost)}
+    assert len(pids) <= 2
+    assert os.getpid() not in pids
+    (variables,) = pool.run(environment, [None], not_lost)
+    list(pool.run(do, ["raise_error"], lambda *_: None))
+    assert variables["POLARS_MAX_THREADS"] == variables["OMP_NUM_THREADS"] == "1"
+    assert variables["GLIBC_TUNABLES"] == f"glibc.malloc.check=3:{HUGE_PAGES}"
+    err = capfd.readouterr().err
+    assert "ZeroDivisionError: not foreseen" in err
+    assert "in raise_error" in err
+
+
+def check_losses(workers: Workers, *names: str) -> None:
+    """Do tasks that misbehave among some that do not."""
     losses: dict[str, Loss] = {}
-    is_hanging = EXPECTED[names[0]][0] == "task_timeout"
-    limits = HASTY if is_hanging else LIMITS
-    with open_workers(limits.model_copy(update={"workers": n_workers})) as workers:
-        done = set(workers.run(do, ["a", *names, *"bcd"], losses.__setitem__))
+    done = set(workers.run(do, ["a", *names, *"bcd"], losses.__setitem__))
     assert done == {"a done", "b done", "c done", "d done", None}
     assert set(losses) == set(names)
     for name in names:
         code, words = EXPECTED[name]
         assert losses[name].code == code
         assert words in losses[name].how
+
+
+def test_what_a_task_does_to_its_worker_costs_itself_alone(pool: Workers) -> None:
+    """Of each kind that does not hang; the others in the full run."""
+    check_losses(pool, "panic", "eat_with_polars")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("name", "n_workers"), ALL)
+def test_whatever_a_task_does_costs_itself_alone(name: str, n_workers: int) -> None:
+    limits = HASTY if EXPECTED[name][0] == "task_timeout" else LIMITS
+    with open_workers(limits.model_copy(update={"workers": n_workers})) as workers:
+        check_losses(workers, name)
 
 
 def test_a_log_that_a_task_waits_for_is_named() -> None:
@@ -84,33 +117,11 @@ def test_a_log_that_a_task_waits_for_is_named() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")
 def test_a_task_that_is_lost_once_is_done_the_second_time_with_nothing_beside_it(
-    tmp_path: Path,
+    pool: Workers, tmp_path: Path
 ) -> None:
     markers = [str(tmp_path / name) for name in "ab"]
-    with open_workers(LIMITS) as workers:
-        assert list(workers.run(count_beside_or_die, markers, not_lost)) == [0, 0]
-        assert list(workers.run(die_once, markers, not_lost)) == ["done", "done"]
-
-
-def test_workers_stay_have_variables_of_their_own_and_are_heard(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.check=3")
-    before = dict(os.environ)
-    with open_workers(LIMITS) as workers:
-        # One of the two may do all of a call.
-        pids = {pid for _ in range(3) for pid in workers.run(own_pid, range(6), not_lost)}
-        assert len(pids) <= 2
-        assert os.getpid() not in pids
-        (variables,) = workers.run(environment, [None], not_lost)
-        list(workers.run(do, ["raise_error"], lambda *_: None))
-    assert workers_of(os.getpid()) == 0
-    assert dict(os.environ) == before
-    assert variables["POLARS_MAX_THREADS"] == variables["OMP_NUM_THREADS"] == "1"
-    assert variables["GLIBC_TUNABLES"] == f"glibc.malloc.check=3:{HUGE_PAGES}"
-    err = capfd.readouterr().err
-    assert "ZeroDivisionError: not foreseen" in err
-    assert "in raise_error" in err
+    assert list(pool.run(count_beside_or_die, markers, not_lost)) == [0, 0]
+    assert list(pool.run(die_once, markers, not_lost)) == ["done", "done"]
 
 
 PARENT = """

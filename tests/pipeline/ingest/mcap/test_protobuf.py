@@ -11,13 +11,7 @@ import pytest
 from google.protobuf import descriptor_pb2
 
 from pipeline.ingest.conformance import T0_US
-from tests.pipeline.ingest.mcap.protobuf_files import (
-    NAME,
-    class_of,
-    made_of,
-    protobuf,
-    set_of,
-)
+from tests.pipeline.ingest.mcap.protobuf_files import NAME, class_of, made_of, protobuf, set_of
 from tests.pipeline.ingest.mcap_files import (
     Value,
     all_values,
