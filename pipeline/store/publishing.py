@@ -262,10 +262,18 @@ def _with_rows(
     table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
 ) -> pl.DataFrame:
     """Rows that are there with new ones, in place of those of the same key and of some others."""
-    others = present.join(rows, on=list(table.key), how="anti")
+    before, within, after = present.clear(), present, present.clear()
+    if replaced is not None and "night" in table.key:
+        # Other nights lie before and after them, and are neither copied nor sorted.
+        span = [pl.col("night").min().alias("first"), pl.col("night").max().alias("last")]
+        first, last = replaced.select(span).row(0)
+        begin = present["night"].search_sorted(first, "left")
+        end = present["night"].search_sorted(last, "right")
+        before, within, after = present[:begin], present[begin:end], present[end:]
+    within = within.join(rows, on=list(table.key), how="anti")
     if replaced is not None:
-        others = others.join(replaced, on=replaced.columns, how="anti")
-    return pl.concat([others, rows]).sort(table.order)
+        within = within.join(replaced, on=replaced.columns, how="anti")
+    return pl.concat([before, pl.concat([within, rows]).sort(table.order), after])
 
 
 def write_views(output: Path) -> None:
