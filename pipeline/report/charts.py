@@ -119,7 +119,11 @@ def watch_chart(
     projection = _projection(motor)
     leakage = _leakage_panel(motor, projection)
     panels = (leakage, _evidence_panel(motor), _gap_panel(motor, declared))
-    marks = [*_events(events), *_detected(motor, changes)]
+    marks = [
+        Mark(event.date, ": ".join(filter(None, (plain(event.kind), event.note))), GREY)
+        for event in events
+    ]
+    marks += _detected(motor, changes)
     return Chart(
         motor.stamps,
         _shown(panels),
@@ -288,12 +292,6 @@ def _evidence_panel(motor: MotorHistory) -> Panel | None:
     )
     unit = "ln R" if np.nanmax(whole, initial=0.0) <= top else f"ln R, up to {top:.0f}"
     return Panel("Evidence of a change", unit, lines, (-2.0, top), 110)
-
-
-def _events(events: Iterable[Event]) -> Iterable[Mark]:
-    for event in events:
-        note = f": {event.note}" if event.note else ""
-        yield Mark(event.date, f"{plain(event.kind)}{note}", GREY)
 
 
 def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:

@@ -19,7 +19,6 @@ import polars as pl
 from leakage import Motor
 from leakage.estimation.blocks import merge, with_free_known
 from leakage.estimation.proven_minimum import Search, coefficients_at, free_parameters, search
-from pipeline.arrays import Array
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import UsageError
 from pipeline.messages import counted, figure, plain, statement
@@ -359,7 +358,10 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
     if coefficient_names(motor) != row["coefficient_names"]:
         factors = with_free_known(factors, *scale_of(motor))
         motor = motor.with_free_standard()
-    outcome = _search(spec, motor, row, merge(factors))
+    # The search of the thesis over all samples, with the same draws for the same motor and night.
+    text = f"1|{spec.motor_id}|{row['night']}|{mode}"
+    seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+    outcome = search(merge(factors), motor, np.random.default_rng(seed))
     yield f"Audit, flushing {mode}"
     if outcome.starts:
         gap = "" if outcome.gap is None else f", the best {outcome.gap:+.1e}"
@@ -373,14 +375,6 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
             f"  FPE {row['fpe']:.4g} (l/min)², AIC {row['aic']:.1f}, AICc {row['aicc']:.1f}, "
             f"BIC {row['bic']:.1f}: {row['n_training']} training samples"
         )
-
-
-def _search(spec: MotorSpec, motor: Motor, row: dict[str, Any], factor: Array) -> Search:
-    """Search as the thesis does, over all samples of a night."""
-    # The same draws for the same motor, night and mode.
-    text = f"1|{spec.motor_id}|{row['night']}|{row['flushing_mode']}"
-    seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-    return search(factor, motor, np.random.default_rng(seed))
 
 
 def _spreads(motor: Motor, outcome: Search) -> Iterator[str]:

@@ -68,11 +68,17 @@ def figure(chart: Chart) -> Payload:
             layout["yaxis9"] = right | ticks | {"tickformat": ".3~g"}
             # Plotly shows an axis only with a trace.
             traces.append({"yaxis": "y9", "y": [None] * len(chart.time), "hoverinfo": "skip"})
-        layout["shapes"] += [_upright(mark, axis) for mark in chart.marks]
+        whole_height = {"yref": f"{axis} domain", "y0": 0, "y1": 1}
+        layout["shapes"] += [
+            {"type": "line", "x0": str(mark.night), "x1": str(mark.night)}
+            | {"line": {"color": mark.colour, "width": 1, "dash": "dot"}}
+            | whole_height
+            for mark in chart.marks
+        ]
         layout["shapes"] += [
             {"type": "rect", "layer": "below", "x0": str(first), "x1": str(last)}
-            | {"yref": f"{axis} domain", "y0": 0, "y1": 1, "fillcolor": "#8a949e"}
-            | {"opacity": 0.18, "line": {"width": 0}}
+            | {"fillcolor": "#8a949e", "opacity": 0.18, "line": {"width": 0}}
+            | whole_height
             for first, last in chart.shaded
         ]
     if chart.marks:
@@ -221,11 +227,6 @@ def _text(words: str, axis: str) -> Payload:
     """Words above a panel."""
     place = {"xref": "paper", "x": 0, "xanchor": "left", "yref": f"{axis} domain", "y": 1}
     return place | {"text": words, "showarrow": False, "yanchor": "bottom", "align": "left"}
-
-
-def _upright(mark: Mark, axis: str) -> Payload:
-    place = {"type": "line", "x0": str(mark.night), "x1": str(mark.night), "yref": f"{axis} domain"}
-    return place | {"y0": 0, "y1": 1, "line": {"color": mark.colour, "width": 1, "dash": "dot"}}
 
 
 def _ranges(chart: Chart) -> dict[str, list[str]]:
