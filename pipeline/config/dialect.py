@@ -76,11 +76,11 @@ def require_time_format(time_format: str) -> str:
     has = set(directives).intersection
     day = has("Yy") and (has("j") or (has("mbB") and has("d")))
     hour = has("M") and (has("H") or (has("I") and has("p")))
-    fraction = "%f" not in time_format or re.search(r"[.,]%f", time_format)
+    fraction = "%f" not in time_format or re.search(r"[.,]%f|%M:%S:%f", time_format)
     if not (day and hour and fraction):
         raise ValueError(
             f"time format {time_format!r} names no full day, hour and minute, or has %f without "
-            "'.' or ',' before it"
+            "'.' or ',' before it, or %M:%S:"
         )
     import polars as pl
 
@@ -98,6 +98,9 @@ def parsed(texts: pl.Series, time_format: str) -> pl.Series:
     """Time stamps [µs] of text in a format of `time.strptime`; null where it does not fit."""
     # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
     dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format
+    if "%S:%f" in time_format:
+        texts = texts.str.replace(r"(:\d\d:\d\d):", "${1}.")
+        dotted = time_format.replace("%S:%f", "%S.%f")
     its_format = dotted.replace(".%f", "%.f").replace("%z", "%#z")
     return texts.str.strip_chars().str.to_datetime(
         its_format, time_unit="us", strict=False, exact=True

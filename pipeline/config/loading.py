@@ -54,7 +54,8 @@ def load_fleet(path: Path) -> Fleet:
     places = dict(_places(path, folders, faults))
     types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
     oils = _read_folder(places.get("oils"), OilFile, faults)
-    defaults = fleet.defaults if fleet else {}
+    stated = document.get("defaults")
+    defaults = stated if isinstance(stated, Mapping) else {}
     known = {"defaults": defaults, "motor_types": types.documents, "oils": oils.documents}
     motors = _read_folder(places.get("motors"), MotorFile, faults, **known)
     circuits = _read_folder(places.get("oil_circuits"), OilCircuitFile, faults)

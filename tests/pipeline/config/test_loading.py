@@ -219,6 +219,12 @@ def test_a_line_a_motor_which_has_the_last_word(tmp_path: Path) -> None:
             "fleet.toml",
             "defaults.channels.leakage_flow.resolutoin",
         ),
+        (
+            DEFAULTS + "[reference]\ntemperature_c = 2900.0",
+            "",
+            "fleet.toml",
+            "reference.temperature_c",
+        ),
     ],
 )
 def test_a_fault_of_the_defaults_is_reported_once_and_of_the_fleet_file(
