@@ -1,7 +1,7 @@
 """Names and units of the channels, and the only place where a reading becomes canonical.
 
 The factors are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811,
-appendix B, for inch, pound-force and the gallons).
+appendix B, for inch, pound-force, kilogram-force and the gallons).
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = {
         "kPa": Conversion(1.0, 100.0),
         "MPa": Conversion(10.0),
         "psi": Conversion(_PSI_PA, 1e5),
+        "kgf/cm2": Conversion(0.980665),
     },
     "temperature": {
         "degC": Conversion(1.0),

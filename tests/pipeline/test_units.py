@@ -36,6 +36,7 @@ from pipeline.units import (
         ("high_port_pressure", 1.0, "MPa", 10.0),
         ("low_port_pressure", 1013.25, "mbar", 1.01325),
         ("pressure_difference", 1.0, "psi", 6.894757e-2),
+        ("pressure_difference", 1.0, "kgf/cm2", 0.980665),
         ("oil_temperature", 122.0, "degF", 50.0),
         ("oil_temperature", -40.0, "degF", -40.0),
         ("oil_temperature", 273.15, "K", 0.0),
