@@ -104,6 +104,7 @@ def suspect_units(
         in_log = float(from_canonical(name, typical[name], configured))
         units = " or ".join(likely_units(name, [in_log], usual)[:2])
         mended = f"; it would be usual if the log's unit were {units}" if units else ""
+        mended += ", or its numbers had a scale" if units else ""
         shown = f"{typical[name]:.3g} {canonical_unit(name).replace('degC', '°C')}"
         yield f"unit_unusual: {name}: typically {shown}, which is unusual{where}{mended}"
 

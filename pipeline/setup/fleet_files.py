@@ -23,8 +23,9 @@ from pipeline.clock import now, utc
 from pipeline.config import Channel, Fleet
 from pipeline.config.alarms import Alarms
 from pipeline.config.channels import PORT_PRESSURES
-from pipeline.config.loading import NAME_MARK, completed, named
+from pipeline.config.loading import NAME_MARK, completed, named, validated
 from pipeline.config.logs import Logs
+from pipeline.config.settings import ReferenceConditions
 from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs
@@ -247,7 +248,7 @@ def observe(motor: ProposedMotor) -> Observed:
     """Look at the ends of a motor's logs, and into the newest where every unit is known."""
     logs = Logs.model_validate({**motor.logs, "files": tuple(motor.logs["files"])}, strict=False)
     channels: Any = {
-        name: Channel.model_validate({"unit": canonical_unit(name), **channel.keys})
+        name: Channel.model_validate({"unit": canonical_unit(name), **channel.keys}, strict=False)
         for name, channel in motor.channels.items()
     }
     zone, spans, fault = ZoneInfo(logs.time_zone), dict[Path, Span](), ""
@@ -279,12 +280,13 @@ def observe(motor: ProposedMotor) -> Observed:
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
-    """Conditions of `[reference]`: the fleet's own medians, to two figures; none where unknown."""
-    conditions = {}
+    """Conditions of `[reference]`: the fleet's own medians, to two figures, as far as possible."""
+    conditions: dict[str, float] = {}
     for key, name in _REFERENCE.items():
         known = [value for observation in observed if (value := observation.typical.get(name))]
-        if known:
-            conditions[key] = float(f"{median(known):.2g}")
+        rounded = {key: float(f"{median(known):.2g}")} if known else {}
+        if validated(ReferenceConditions, rounded, "", []):
+            conditions |= rounded
     return conditions
 
 

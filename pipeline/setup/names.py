@@ -36,6 +36,11 @@ USUAL: Mapping[str, tuple[float, float]] = {
 _USUAL_LOW_SIDE = (0.1, 100.0)
 
 _BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+# A share, or a factor: "0.1", "10^-1", and behind another word "x10".
+_FACTOR = re.compile(
+    r"%|(?<![^\W_])(?:0[.,]\d+|10\^|1[eE]-\d)|(?<=[\s_)\]])[x×*/] ?(?:0[.,]\d+|10+)(?![^\W_])"
+)
+_IMPERIAL = re.compile(r"(?i)(?<![^\W_])(?:imp|imperial|uk)(?![^\W_])")
 _LABEL = re.compile(r"[{,]\s*\w+=\"([^\"]*)\"}?")
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _HIGHER = re.compile(r"(?<=[^\W\dA-Z_])(?=[A-Z])")
@@ -96,7 +101,37 @@ def unit_named(text: str) -> str | None:
 
 def unit_in(name: str) -> str | None:
     """Unit that a name states: in brackets, behind a comma or stroke, or as a word of its own."""
-    return unit_named(_unit_text(name))
+    return None if unread_unit(name) else unit_named(_unit_text(name))
+
+
+def unread_unit(name: str, unit: str = "") -> str:
+    """Return what a log states in the place of a unit that is read; empty for nothing.
+
+    Examples
+    --------
+    >>> [unread_unit(name) for name in ("q [0.1 l/min]", "q [l/min] x10", "q [mA]", "q [l/min]")]
+    ['0.1 l/min', 'x10', 'mA', '']
+    """
+    # What a name begins with is a place: "[default]Drive 1/dp".
+    bracketed: list[str] = _BRACKETED.findall(_LABEL.sub("", name)[1:])
+    stated = [text for text in (unit, *bracketed) if text]
+    for text in stated:
+        scaled = re.sub(r"^[\d.,/ ]+", "", text)
+        if _FACTOR.search(text) or (unit_named(scaled) and not unit_named(text)):
+            return text
+    known = unit_named(unit) or unit_named(_unit_text(name))
+    imperial = _IMPERIAL.search(name) if known == "us_gal/min" else None
+    if factor := _FACTOR.search(_BRACKETED.sub("()", name)) or imperial:
+        return factor[0]
+    words = ((text, text.lower().split()) for text in stated)
+    return "" if known else next((text for text, own in words if _may_be_unit(own)), "")
+
+
+def _may_be_unit(words: Sequence[str]) -> bool:
+    """True for words of a bracket that say nothing of a place or quantity."""
+    tables = [(table, key) for table in ("quantity", "role", "other") for key in VOCABULARY[table]]
+    has_letters = any(re.search(r"[^\W\d]", word) for word in words)
+    return has_letters and not any(is_in(words, table, key) for table, key in tables)
 
 
 def _unit_text(name: str) -> str:
@@ -105,7 +140,8 @@ def _unit_text(name: str) -> str:
     bracketed = _BRACKETED.findall(name)
     behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
     words = [word for word in re.split(r"[\s_.]+", name) if word != "per"]
-    inner = [word for word in _HIGHER.sub("_", name).split("_") if len(word) > 2]
+    bare = _BRACKETED.sub(" ", name)
+    inner = [word for word in _HIGHER.sub("_", bare).split("_") if len(word) > 2]
     others = [
         word for word in ("/".join(words[-2:]), *reversed(words[1:]), *inner) if len(word) > 1
     ]
@@ -123,12 +159,13 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     """Meaning of a name, with what stands beside it as a unit."""
     words = words_of(_without_unit(name))
     quantities = list(_quantities(words, name))
-    known_unit = unit_named(unit) or unit_in(name)
+    known_unit = unit_named(unit) or unit_named(_unit_text(name))
     is_of_oil = not quantities and is_in(words, "preferred", "oil_temperature")
     if known_unit is None and (is_of_oil or "temperature" in quantities):
         last = next((word for word in reversed(words) if not is_in([word], "column", "part")), "")
         known_unit = unit_named(last) if last in ("c", "f", "k") else None
     stated = QUANTITY_OF.get(known_unit or "")
+    known_unit = None if unread_unit(name, unit) else known_unit
     if stated is not None and quantities and stated not in quantities:
         return Meaning(None, known_unit)
     quantity = stated or next(iter(quantities), None)
@@ -250,10 +287,12 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
                 spelled.setdefault(key, Counter())[text] += 1
     for (path, is_head), signals in parts.items():
         name = spelled[path, is_head].most_common(1)[0][0]
+        words = words_of(name)
         ends_path = not is_head and all(
-            is_in([word], "column", "part") or word.isdigit() for word in words_of(name)
+            is_in([word], "column", "part") or word.isdigit() for word in words
         )
-        if name and not ends_path and len(signals) >= FEWEST_CHANNELS:
+        is_statistic = all(is_in([word], "column", "statistic") for word in words)
+        if name and not (ends_path or is_statistic) and len(signals) >= FEWEST_CHANNELS:
             yield Group(name, signals)
 
 

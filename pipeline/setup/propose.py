@@ -8,11 +8,12 @@ Names of files tell which are one motor's (`layouts`), the head of a log its dia
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import chain, count
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,21 @@ from pipeline.ingest import time_span
 from pipeline.logs.dates import NEAR_DAYS, days_off
 from pipeline.logs.finding import SUFFIXES, logs_below
 from pipeline.setup.layouts import Kind, kinds_of
-from pipeline.setup.names import groups_of, unit_named
+from pipeline.setup.names import groups_of, is_in, unit_named, words_of
 from pipeline.setup.questions import Asked, Chooser
-from pipeline.setup.signals import cells_of, columns_without_use, motors_of_rows, signals_of
+from pipeline.setup.signals import (
+    cells_of,
+    columns_without_use,
+    motors_of_rows,
+    signals_of,
+    unread_columns,
+)
 from pipeline.setup.sniff import sniff
 from pipeline.setup.tables import Column, Question, Table, is_number
 
 LARGEST_LOG_BYTES = 200 << 20  # of a log that is read to look into it
 _SHOWN, _NAMES_COMPARED = 12, 12
+_ROWS_COMPARED, _FEWEST_COMPARED = 100, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +91,7 @@ def propose(
         lambda path: _span(path, table_of(path)),
         asked.ask,
     )
-    for kind in kinds:
+    for kind in _without_copies(kinds, table_of, asked):
         table = table_of(kind.files[-1])
         n_done += len(kind.files)
         progress(n_done, len(files))
@@ -119,6 +127,29 @@ def _in_common(table: Table | LogError) -> object:
     return table.logs["format"], table.times, [column.name for column in table.columns]
 
 
+def _without_copies(
+    kinds: Sequence[Kind], table_of: Callable[[Path], Table | LogError], asked: Asked
+) -> list[Kind]:
+    """The kinds without those of which the rows are another's; which is asked."""
+    first_with, copies = dict[int, str](), set[str]()
+    for kind in kinds:
+        table, pattern = table_of(kind.files[-1]), kind.patterns[0]
+        if isinstance(table, LogError):
+            continue
+        names = [*table.times, *(column.name for column in table.columns)]
+        rows = list(islice(table.rows(names), _ROWS_COMPARED))
+        owners = Counter(first_with.setdefault(hash(row), pattern) for row in rows)
+        other, n_alike = next(iter(owners.most_common(1)), (pattern, 0))
+        # Of motors that stand still all cells may be alike.
+        varies = len({row[len(table.times) :] for row in rows}) >= _FEWEST_COMPARED
+        if other != pattern and varies and 2 * n_alike > len(rows):
+            text = f"{other} and {pattern} have the same rows: which is a motor's?"
+            choices = (other, pattern, "both")
+            answer = asked.ask(f"motors of {pattern}", text, choices)
+            copies |= {choice for choice in choices[:2] if answer in choices[:2]} - {str(answer)}
+    return [kind for kind in kinds if kind.patterns[0] not in copies]
+
+
 def _why_no_log(folder: Path) -> str:
     """What is in a folder without a log."""
     names = sorted(path.name for path in folder.rglob("*") if path.is_file())
@@ -146,7 +177,11 @@ def _why_no_motor(table: Table) -> str:
                 "exported without them, the unit in the header"
             )
     columns = ", ".join(column.name for column in table.columns[:_SHOWN])
-    return f"its columns are no motor's: {columns}"
+    if any(is_in(words_of(column.name), "column", "statistic") for column in table.columns):
+        columns += "; minima, maxima and deviations are no readings"
+    if columns and all(is_in(words_of(own.name), "column", "value") for own in table.columns):
+        columns += '; of a file a channel write layout = "file_per_channel" by hand'
+    return "; ".join((f"its columns are no motor's: {columns}", *unread_columns(table)[:_SHOWN]))
 
 
 def _dated_by_names(table: Table, kind: Kind) -> Table:
@@ -220,6 +255,7 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     if several:
         names = several.get(column or "", ())
         rows = [(name, {"motor_column": column, "motor_name": name}) for name in names]
+    signals = replace(signals, left_out=unread_columns(table))
     motors = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
     if motors:
         asked.unused |= dict.fromkeys(columns_without_use(table, signals, list(several)))
@@ -243,7 +279,9 @@ def _grouped(
         motor = group.name or log
         shared = left if group.name else ()
         motor_id = _plain(motor)
-        chooser = Chooser(group, by_name, table.marks, motor, motor_id, asked, further, shared)
+        chooser = Chooser(
+            *(group, by_name, table.marks, motor, motor_id, asked, further, shared, table.left_out)
+        )
         channels = dict(chooser.places())
         used = {channel.name for channel in channels.values()}
         asked.unused |= dict.fromkeys(name for name in group.signals if name not in used)

@@ -6,23 +6,38 @@ What several columns fit, or none, is asked; an answer is taken as it stands.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from statistics import median
 from typing import Any
 
-from pipeline.config.channels import GOOD_QUALITY, PORT_PRESSURES
+from pipeline.config.channels import COUNTED, GOOD_QUALITY, PORT_PRESSURES, PULSES, TOTAL, Channel
+from pipeline.config.dialect import require_time_format
+from pipeline.config.loading import validated
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.messages import plain
-from pipeline.setup.names import QUANTITY_OF, Group, likely_units, meaning_of, missing_channels
+from pipeline.setup.names import (
+    QUANTITY_OF,
+    Group,
+    is_in,
+    likely_units,
+    meaning_of,
+    missing_channels,
+    unread_unit,
+    words_of,
+)
 from pipeline.setup.tables import Column, Marks, Quality, Question, Table, as_number
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 # What may be answered before it is asked, and what is not asked any more with another answer.
 _ALWAYS = {"time_zone", "time_format", "decimal", "motor_type", "oil"}
 _KINDS = ("unit of ", "good codes of ", "motors of ", "time_format of ", "decimal of ")
+_MOST_LEFT_OUT = 5  # columns that a question shows
+_CHECKS = {"time_zone": known_zone, "time_format": require_time_format}
 # Readings of the same unit are alike within this factor.
 _ALIKE = 5.0
 
@@ -31,11 +46,12 @@ class Asked:
     """Questions, and which of them have no answer yet."""
 
     def __init__(self, answers: Mapping[str, str]) -> None:
-        try:
-            known_zone(answers.get("time_zone", "UTC"))
-        except ValueError as error:
-            message = f"time_zone: got {answers['time_zone']!r}; {error}"
-            raise UsageError("answer", message) from None
+        for key, answer in answers.items():
+            try:
+                _CHECKS.get(key.partition(" of ")[0], str)(answer)
+            except ValueError as error:
+                message = f"{key}: got {answer!r}; {error}"
+                raise UsageError("answer", message) from None
         self.answers = answers
         self.log = ""  # in which it is asked
         self.open: dict[str, Question] = {}
@@ -47,14 +63,14 @@ class Asked:
         self.sizes: dict[str, float] = {}  # typical reading of the first column of a name
 
     def ask(
-        self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] = ()
+        self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] | None = None
     ) -> str | None:
         """The answer to a question; None, and the question is open, without any.
 
-        The answer has to be `known`, by default one of the choices, where there are any.
+        The answer has to be `known`, by default one of the choices; any is taken of none.
         """
         likely = tuple(choices)
-        allowed = tuple(known) or likely
+        allowed = likely if known is None else tuple(known)
         self._asked[key] = likely
         if key not in self.answers:
             self.open.setdefault(key, Question(key, text, likely))
@@ -133,6 +149,7 @@ class Chooser:
     asked: Asked
     further: Callable[[str], Sequence[str]]  # cells of a column from all over the log
     shared: Sequence[str] = ()  # columns that are no motor's alone
+    left_out: Sequence[str] = ()  # columns that cannot be read, and why
 
     def places(self) -> Iterator[tuple[str, Column]]:
         """Column by channel, without those that are asked for.
@@ -144,11 +161,11 @@ class Chooser:
         for channel in CHANNELS:
             if name := column_names.get(channel):
                 column = self.columns[name]
-                unit = self._unit(channel, column)
-                keys = {**column.keys, **({"unit": unit} if unit else {})}
+                unit_keys = self._unit_keys(channel, column)
+                keys = {**column.keys, **unit_keys}
                 if column.quality is not None:
                     keys |= self._quality_keys(column.quality)
-                yield channel, replace(column, unit=unit or "", keys=keys)
+                yield channel, replace(column, unit=unit_keys.get("unit", ""), keys=keys)
 
     def _column_names(self) -> dict[str, str | None]:
         """Name of the column by channel."""
@@ -170,7 +187,8 @@ class Chooser:
                 continue
             own = [name for name in self.columns if name in self.group.signals]
             choices = list(dict.fromkeys((*shared, *own, *self.shared)))
-            column_names[channel] = self._which(channel, "none was found", choices)
+            why = "; ".join(("none was found", *self.left_out[:_MOST_LEFT_OUT]))
+            column_names[channel] = self._which(channel, why, choices)
         return column_names
 
     def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
@@ -245,11 +263,14 @@ class Chooser:
         numbers = (as_number(cell, self.marks) for cell in column.filled)
         return [number for number in numbers if number is not None]
 
-    def _unit(self, channel: str, column: Column) -> str | None:
-        """The unit of a column; an answer is for columns called alike whose readings are alike."""
+    def _unit_keys(self, channel: str, column: Column) -> dict[str, Any]:
+        """The unit of a column, and what else of its number is answered; empty where it is asked.
+
+        An answer is for columns called alike whose readings are alike.
+        """
         unit = meaning_of(column.name, column.unit).unit
         if unit is not None and QUANTITY_OF.get(unit) == QUANTITIES[channel]:
-            return unit
+            return {"unit": unit}
         # The head of a log may be a standstill.
         known = (as_number(cell, self.marks) for cell in self.further(column.name))
         numbers = [abs(number) for number in known if number] or [*map(abs, self._numbers(column))]
@@ -257,6 +278,16 @@ class Chooser:
         text = f"{self.motor_id}: unit of {plain(channel)} ({column.name}: {shown}): which is it?"
         units = tuple(UNITS[QUANTITIES[channel]])
         likely = likely_units(channel, numbers) or units
+        example = f'unit = "{units[0]}", scale = 1.0, offset = 0.0'
+        if unread := unread_unit(column.name, column.unit):
+            text += f" The log says {unread!r}, none of {', '.join(units)}: answer keys of the "
+            text += f"channel, as {example}"
+            units = likely = ()
+        elif channel == COUNTED and is_in(words_of(column.name), "column", "counter"):
+            example = f'unit = "{TOTAL}", volume_per_count_cm3 = 1000.0'
+            text += f" Of a counter answer keys of the channel, as {example}; of counts since the "
+            text += f"sample before the unit is {PULSES!r}"
+            units = likely = ()
         key = f"unit of {without_motor(column.name, self.name) or channel}"
         size = median(numbers or [0.0])
         first = self.asked.sizes.setdefault(key, size)
@@ -264,7 +295,17 @@ class Chooser:
         is_alike = first == size or 1.0 / _ALIKE < size / (first or 1.0) < _ALIKE
         if own in self.asked.answers or not is_alike:
             key = own
-        return self.asked.ask(key, text, likely, units)
+        answer = self.asked.ask(key, text, likely, ())
+        if answer is None or answer in units:
+            return {"unit": answer} if answer else {}
+        keys: dict[str, Any] = {}
+        with suppress(tomllib.TOMLDecodeError):
+            keys = tomllib.loads(f"keys = {{{answer}}}")["keys"]
+        answered = validated(Channel, {"source": "any", **keys}, "", [])
+        if answered is None or answered.unit not in (*UNITS[QUANTITIES[channel]], TOTAL, PULSES):
+            expected = ", ".join((*units, f"keys of the channel, as {example}"))
+            raise UsageError("answer", f"{key}: got {answer!r}; expected {expected}")
+        return keys
 
     def _quality_keys(self, quality: Quality) -> dict[str, Any]:
         """Keys of a channel's quality; none where it is not to be used."""

@@ -74,6 +74,27 @@ def _of_tags(table: Table) -> Table | None:
     return replace(table, logs={**table.logs, **own}, columns=tuple(tags))
 
 
+def unread_columns(table: Table) -> Cells:
+    """Return columns of a table that cannot be a channel, each with its cause."""
+    texts = (
+        f"{column.name} has {next((c for c in column.filled if not is_number(c)), '')!r}, no number"
+        for column in table.columns
+        if column.kind == "text" and not quality_words(column.name)
+    )
+    has_values = any(is_in(words_of(column.name), "column", "value") for column in table.columns)
+    tags = (
+        f"{column.name} has numbers for the names of channels"
+        for column in table.columns
+        if has_values and column.kind == "number" and _is_of_tags(column.name)
+    )
+    return (*table.left_out, *texts, *tags)
+
+
+def _is_of_tags(name: str) -> bool:
+    words = words_of(name)
+    return is_in(words[:1], "column", "channel") or is_in(words[-1:], "column", "number")
+
+
 def _spread(cells: Sequence[str]) -> Cells:
     """Return some cells from all over a log: its head may be a standstill."""
     return tuple(cells[:: max(1, len(cells) // SAMPLES)][:SAMPLES])

@@ -9,6 +9,7 @@ import codecs
 import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -129,10 +130,10 @@ def _csv(path: Path) -> Table:
 
     numbers = [column for column in columns if column.kind == "number"]
     marks = marks_of(cell for number in numbers for cell in number.cells)
-    if marks.decimal == separator:
+    if separator in (marks.decimal, marks.thousands):
         message = (
-            "a comma is the decimal mark and separates the cells, too: such a log is not read, "
-            "have it written with another separator"
+            "a comma is in numbers and separates the cells, too: such a log is not read, have it "
+            "written with another separator"
         )
         raise LogError("log_not_csv", path, message)
     dialect: dict[str, Any] = {
@@ -149,7 +150,14 @@ def _csv(path: Path) -> Table:
         questions = [Question("decimal", "a decimal mark, or between thousands?", choices)]
     known = Logs.model_fields
     logs = {key: value for key, value in dialect.items() if value != known[key].default}
-    return timed(Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows))
+    table = Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows)
+    return timed(replace(table, left_out=_repeated(names)))
+
+
+def _repeated(names: Sequence[str]) -> Cells:
+    """Say of names that are there several times why they are not read."""
+    counts = Counter(filter(None, names))
+    return tuple(f"{name} is there {n} times" for name, n in counts.items() if n > 1)
 
 
 def _why_no_table(lines: Sequence[str], separator: str, width: int) -> str:
@@ -270,8 +278,13 @@ def _units_among(rows: Iterable[Cells]) -> Cells:
 def _parquet(path: Path) -> Table:
     leaves = next(_leaves(path, HEAD_ROWS))
     columns = [column for leaf in leaves if (column := _column(*leaf)) is not None]
+    known = {column.name for column in columns}
     with opened(path) as file:
         kinds = {field.name: field.type for field in file.schema_arrow}
+        repeated = _repeated(file.schema_arrow.names)
+    others = tuple(
+        f"{own.name} is of type {own.type}" for own, _ in leaves if own.name not in known
+    )
     apart = {
         n: kind for n, kind in kinds.items() if pa.types.is_date(kind) or pa.types.is_time(kind)
     }
@@ -289,7 +302,8 @@ def _parquet(path: Path) -> Table:
             first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
             yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
-    return timed(Table({"format": "parquet"}, (), tuple(columns), (), rows=rows))
+    table = Table({"format": "parquet"}, (), tuple(columns), (), rows=rows)
+    return timed(replace(table, left_out=(*repeated, *others)))
 
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
@@ -309,10 +323,13 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
 
 
 def _unit_of(field: pa.Field) -> str:
-    """Return the unit in the metadata of a column; empty for none."""
+    """Return the unit in the metadata of a column, a factor before it; empty for none."""
     stated = {key.lower(): value for key, value in (field.metadata or {}).items()}
-    units = (stated[key] for key in (b"unit", b"units", b"uom") if key in stated)
-    return next(units, b"").decode(errors="replace")
+    factor, unit = (
+        next((stated[key].decode(errors="replace") for key in keys if key in stated), "")
+        for keys in ((b"scale", b"factor", b"multiplier"), (b"unit", b"units", b"uom"))
+    )
+    return f"{factor} {unit}" if factor not in ("", "1", "1.0") else unit
 
 
 def _column(field: pa.Field, values: pa.Array) -> Column | None:

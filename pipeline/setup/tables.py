@@ -33,12 +33,13 @@ _DATES = (
 )
 _CLOCKS = (
     *("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%H.%M.%S", "%H.%M.%S,%f", "%H%M%S"),
+    "%H:%M:%S:%f",
     *("%I:%M:%S %p", "%I:%M %p", "%I:%M:%S%p", "%I:%M:%S.%f %p"),
 )
 _ZONE = r"(?P<zone> ?(?:Z|[+-]\d\d:?\d\d|UTC|GMT))?"
 _MONTH = r"(?:\d{1,2}|[A-Za-z]{3,9})"
 _DATE = rf"\d{{4}}[-/. ]{_MONTH}[-/. ]\d{{1,2}}|\d{{1,2}}[-/. ]{_MONTH}[-/. ](?:\d{{4}}|\d\d)"
-_CLOCK = r"\d{1,2}[:.]\d\d(?:[:.]\d\d(?:[.,]\d+)?)?(?: ?[AaPp][Mm])?"
+_CLOCK = r"\d{1,2}[:.]\d\d(?:[:.]\d\d(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
 _STAMP = re.compile(
     rf"(?P<date>{_DATE}|\d{{8}})(?P<between>[ T_]|, |,| - )(?P<clock>{_CLOCK}|\d{{6}}){_ZONE}"
 )
@@ -107,6 +108,7 @@ class Table:
     marks: Marks = field(default_factory=Marks)
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
     faults: Cells = ()  # what of it cannot be read, and why
+    left_out: Cells = ()  # columns that cannot be read, and why
 
 
 # Cells
@@ -305,7 +307,7 @@ def timed(table: Table) -> Table:
         [time_us.name for time_us in times],
     )
     logs |= dict(zip(("time", "date_column"), names, strict=False))
-    set_formats(logs, questions, formats)
+    set_formats(logs, questions, formats, next((c for own in times for c in own.filled), ""))
     # The other columns of times, such as that of arrival, are no readings either.
     rest = [
         column for column in table.columns if column.name not in names and column.kind not in TIMES
@@ -328,11 +330,14 @@ def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     return time_formats([*stamps, *more])
 
 
-def set_formats(logs: dict[str, Any], questions: list[Question], formats: TimeFormats) -> None:
+def set_formats(
+    logs: dict[str, Any], questions: list[Question], formats: TimeFormats, example: str = ""
+) -> None:
     """Keys and questions of the time's format and zone."""
     readings = formats.readings
     if not readings:
-        questions.append(Question("time_format", "how are its time stamps written?"))
+        text = f"how are its time stamps written ({example!r})? Day, hour and minute are needed"
+        questions.append(Question("time_format", text))
     elif form := next(iter(readings)):
         logs["time_format"] = form
     if len(readings) > 1:

@@ -282,7 +282,9 @@ def test_logs_of_one_motor_are_one_motor_s(layout: str, plant: Plant) -> None:
 
 
 def test_logs_of_the_same_time_are_of_several_motors(plant: Plant) -> None:
-    assert plant.init({f"Datalog{number}.csv": wide() for number in (1, 2, 3)}).code == 0
+    asked = plant.init({f"Datalog{number}.csv": wide() for number in (1, 2, 3)})
+    assert (asked.code, asked.out.count("have the same rows")) == (1, 2)
+    assert plant.init({}, *(f"motors of Datalog{number}.csv=both" for number in (2, 3))).code == 0
     assert [spec.motor_id for spec in plant.motors] == ["Datalog1", "Datalog2", "Datalog3"]
 
 
@@ -512,7 +514,7 @@ def test_on_its_first_day_a_motor_has_no_fault(plant: Plant) -> None:
 
 def test_a_motor_without_a_log_is_a_fault(plant: Plant) -> None:
     logs = {f"{name}/{name}_2026-01-01.csv": wide() for name in ("A", "B")}
-    assert plant.init(logs, "B.motor_type=CB1120").code == 0
+    assert plant.init(logs, "B.motor_type=CB1120", "motors of B/B_*.csv=both").code == 0
     types = {spec.motor_id: spec.file.motor_type for spec in plant.motors}
     assert types == {"A": "CB400", "B": "CB1120"}
     (plant.folder / "logs" / "B" / "B_2026-01-01.csv").unlink()
@@ -530,7 +532,8 @@ def test_a_log_whose_name_contradicts_its_stamps_is_refused(plant: Plant) -> Non
         for motor in "VW"
         for night in (1, 2, 3, 4)
     }
-    assert plant.init(files, f"time_format={DAY_FIRST}").code == 0
+    answers = f"time_format={DAY_FIRST}", "motors of W/W_*.csv=both"
+    assert plant.init(files, *answers).code == 0
     ended = plant.run("check")
     assert ended.code == 1
     assert "W: log_misdated" in ended.err
@@ -545,7 +548,7 @@ def test_a_log_whose_name_contradicts_its_stamps_is_refused(plant: Plant) -> Non
 
 # What `init` asks
 
-DRAIN = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain"), CHANNELS, strict=True))
+DRAIN = dict(zip(("dp_bar", "T_degC", "n_rpm", "drain [0.1 l/min]"), CHANNELS, strict=True))
 
 
 def test_answers_that_nobody_asks_for_are_named_or_refused(plant: Plant) -> None:
@@ -563,12 +566,12 @@ def test_what_is_typed_is_shown_as_an_answer_for_the_next_time(plant: Plant) -> 
     assert asked.code == 1
     with (
         patch("sys.stdin.isatty", return_value=True),
-        patch("typer.prompt", side_effect=["l/min", "CB400", "vg68"]),
+        patch("typer.prompt", side_effect=['unit = "l/min", scale = 0.1', "CB400", "vg68"]),
     ):
         done = plant.run("init", "logs", "--to", "fleet")
-    assert done.code == 0
+    assert (done.code, "scale = 0.1" in done.out) == (0, True)
     assert done.err.splitlines() == [
-        "--answer 'unit of drain=l/min'",
+        """--answer 'unit of drain [0.1 l/min]=unit = "l/min", scale = 0.1'""",
         "--answer motor_type=CB400",
         "--answer oil=vg68",
     ]

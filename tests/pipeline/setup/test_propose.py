@@ -20,7 +20,14 @@ from pipeline.config.channels import GOOD_QUALITY
 from pipeline.demo import shipped_configs
 from pipeline.ingest import read_log
 from pipeline.logs.finding import find_logs
-from pipeline.setup.fleet_files import fleet_files, observe, observed_of, write_fleet
+from pipeline.setup.fleet_files import (
+    Observed,
+    fleet_files,
+    observe,
+    observed_of,
+    reference,
+    write_fleet,
+)
 from pipeline.setup.propose import propose
 from pipeline.units import QUANTITIES, from_canonical
 from pipeline.units import UNITS as KNOWN_UNITS
@@ -97,6 +104,19 @@ JOINED = [
     for n in (1, 2)
     for name in (*(f"SHR1.M{n}.{tag}" for tag in SHREDDER), f"SHR1_M{n}_CaseFlow_lpm")
 ]
+STATISTICS = ",".join(
+    f"{name}_{statistic}"
+    for name in ("dp_bar", "T_degC", "n_rpm", "q_lpm")
+    for statistic in ("Avg", "Max")
+)
+VARYING = [f"200.{at},{CELLS[6:]}" for at in range(12)]
+COUNTER = "drain_total_l|pulses"
+KEYS = {
+    "unit of dp [mA]": 'unit = "bar", scale = 12.5, offset = -50.0',
+    "unit of T [0.1 K]": 'unit = "K", scale = 0.1',
+    "unit of n % of 150 rpm": 'unit = "rpm", scale = 1.5',
+    "unit of drain_total_l": 'unit = "pulses", volume_per_count_cm3 = 9.0',
+}
 CASES: Mapping[str, Case] = {
     "motors of one name have ids of their own": Case(
         {f"{folder}/M1/a.csv": text(FOUR, CELLS) for folder in "AB"},
@@ -140,8 +160,14 @@ CASES: Mapping[str, Case] = {
             for motor, dp in (("M1", 180.5), ("M2", 18050.5))
         },
         {"M1": {DP: "dp|bar"}, "M2": {DP: "dp|kPa"}},
-        {"unit of dp": ("bar", "psi"), "unit of dp in M2": ("kPa", "mbar")},
+        {"unit of dp": ("bar", "psi", "kgf/cm2"), "unit of dp in M2": ("kPa", "mbar")},
         {"unit of dp": "bar", "unit of dp in M2": "kPa"},
+    ),
+    "a factor, a share, a current and a counter have their keys as answers": Case(
+        {"w.csv": text("dp [mA],T [0.1 K],n % of 150 rpm,drain_total_l", "9.5,3202,12.5,1234.5")},
+        {"w": {DP: "dp [mA]|bar", N: "n % of 150 rpm|rpm", f"{T}.scale": "0.1", Q: COUNTER}},
+        dict.fromkeys(KEYS, ()),
+        KEYS,
     ),
     "a unit is judged while the motor turns": Case(
         {"w.csv": text("dp_bar,T_degC,speed,drain_lpm", *["9,45,0.02,1"] * 12, *[CELLS] * 12)},
@@ -171,6 +197,16 @@ CASES: Mapping[str, Case] = {
     "tags of a motor may be joined by different marks": Case(
         {"w.csv": text(",".join(JOINED), f"{CELLS},{CELLS}")},
         {f"SHR1.M{n}": {Q: f"SHR1_M{n}_CaseFlow_lpm|l/min"} for n in (1, 2)},
+    ),
+    "means beside extremes are the readings": Case(
+        {"w.csv": text(STATISTICS, "201.5,205.5,45.5,46.5,30.5,31.5,1.5,1.6")},
+        {"w": {DP: "dp_bar_Avg|bar", N: "n_rpm_Avg|rpm", Q: "q_lpm_Avg|l/min"}},
+    ),
+    "of copies one is a motor's": Case(
+        {name: text(FOUR, *VARYING) for name in ("w_2026-01-13.csv", "w_latest.csv")},
+        {"w": {DP: "dp [bar]|bar"}},
+        {"motors of w_latest.csv": ("w_[0-9]*.csv", "w_latest.csv", "both")},
+        {"motors of w_latest.csv": "w_[0-9]*.csv"},
     ),
     "what is not asked can be put right": Case(
         {"a.csv": text(FOUR, CELLS)}, {"a": {N: "leak [l/min]|"}}, {}, {"a.speed": "leak [l/min]"}
@@ -219,7 +255,39 @@ def test_what_is_proposed_and_asked(name: str, tmp_path: Path) -> None:
             channel: f"{column.keys['source']}|{column.unit}"
             for channel, column in motor.channels.items()
         } | {key: str(value) for key, value in motor.logs.items()}
+        for channel, column in motor.channels.items():
+            stated |= {f"{channel}.{key}": str(value) for key, value in column.keys.items()}
         assert case.motors[motor.motor_id].items() <= stated.items()
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        (text(f"{FOUR},leak [l/min]", f"{CELLS},1.5"), "leak [l/min] is there 2 times"),
+        (text(FOUR, f"+  {CELLS}"), "none was found; dp [bar] has '+  200.5', no number"),
+        (text("TagIndex,Value", "1,200.5", "2,45.5"), "TagIndex has numbers for the names"),
+        (text(STATISTICS.replace("Avg", "Min"), f"{CELLS},{CELLS}"), "minima, maxima and"),
+        (text("value", "1.5"), 'layout = "file_per_channel"'),
+        (text(FOUR, CELLS).replace("2026-01-13T", "").replace("Z,", ","), "written ('06:00:00')?"),
+    ],
+)
+def test_why_something_is_not_read(log: str, words: str, tmp_path: Path) -> None:
+    proposal = propose(write(tmp_path, {"w.csv": log}), {})
+    texts = (*proposal.faults, *(question.text for question in proposal.questions))
+    assert words in "; ".join(texts)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        *("time_zone=Oslo", "time_format=dd/MM/yyyy HH:mm", "time_format of w=%d.%m."),
+        *(f"unit of leak [0.1 l/min]={own}" for own in ("l/min", 'unit = "bar"', 'units = "l/h"')),
+    ],
+)
+def test_an_answer_that_cannot_be(answer: str, tmp_path: Path) -> None:
+    log = write(tmp_path, {"w.csv": text(FOUR.replace("[l", "[0.1 l"), CELLS)})
+    with refused("answer"):
+        propose(log, dict([answer.split("=", 1)]))
 
 
 @pytest.mark.parametrize(
@@ -394,6 +462,11 @@ def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
     assert len(files) == 41
     assert files["motors/W7.toml"] == 'motor_id = "W7"\n'
     assert files["fleet.toml"].count("[defaults.channels.") == 4
+
+
+def test_conditions_that_no_fleet_file_takes_are_left_out() -> None:
+    typical = {T: 2900.0, DP: 150.0}
+    assert reference([Observed(typical=typical)]) == {"pressure_bar": 150.0}
 
 
 def test_the_fleet_file_has_the_fleets_own_figures(tmp_path: Path) -> None:

@@ -44,7 +44,13 @@ def question(source: Path, key: str) -> Any:
 TIMES = (
     *("iso8601", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M"),
     *("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S,%f", "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S"),
-    *("%m/%d/%Y %I:%M:%S %p", "%d-%m-%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%d-%b-%Y %H:%M:%S"),
+    *(
+        "%m/%d/%Y %H:%M:%S:%f",
+        "%m/%d/%Y %I:%M:%S %p",
+        "%d-%m-%Y %H:%M:%S",
+        "%Y/%m/%d %H:%M:%S.%f",
+        "%d-%b-%Y %H:%M:%S",
+    ),
     *("%d.%m.%y %H:%M", "%Y%m%d %H%M%S", "%Y-%m-%d %H:%M:%S UTC", "%Y-%m-%d %H:%M:%S%z"),
     *("epoch_s", "epoch_ms", "epoch_us", "epoch_ns", "excel_days", "%y-%m-%d %H:%M"),
     *("apart %d.%m.%Y %H:%M:%S", "apart %d/%m/%Y %H:%M:%S.%f", "apart %Y-%m-%d %H:%M"),
@@ -156,9 +162,10 @@ def test_a_mark_that_may_be_either_is_asked_and_a_decimal_comma_between_commas_r
     assert question(path, "decimal").choices == (",", ".")
     (motor,) = propose(path, {"decimal": ".", "time_zone": "UTC"}).motors
     assert (motor.logs["decimal"], motor.logs["thousands"]) == (".", ",")
-    (path,) = text_log({"decimal": ","}, quoted=True).write(tmp_path, "log", log_of())
-    with refused("log_not_csv", "another separator"):
-        sniff(path)
+    for mark in ("decimal", "thousands"):
+        (path,) = text_log({mark: ","}, quoted=True).write(tmp_path, "log", log_of())
+        with refused("log_not_csv", "another separator"):
+            sniff(path)
 
 
 @pytest.mark.parametrize(
