@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.demo import shipped_configs
-from pipeline.demo.fleet import PISTON, RING, SLEEVE, Plan
+from pipeline.demo.fleet import PISTON, SLEEVE, Plan
 from tests.conftest import made_once
 from tests.scenarios import command
 from tests.scenarios.covering import declared_by, items_of
@@ -54,18 +54,17 @@ def demo(_demo: ScenarioFleet) -> ScenarioFleet:
     return _demo
 
 
-# A healthy motor, a sleeve that is damaged at once, balance pistons that wear, rings that break; in
-# three formats, two motors on one oil circuit.
+# A healthy motor, a sleeve that is damaged at once, balance pistons that wear; in three formats,
+# two motors on one oil circuit.
 PLANT = (
     Simulated("calm", format="csv", circuit="press"),
     Simulated("broken", step(SLEEVE, at=14, gap=0.15), format="parquet"),
     Simulated("worn", ramp(PISTON, begin=11, end=20, gap=0.25), format="mcap", circuit="press"),
-    Simulated("ringed", step(RING, at=13, gap=0.20), format="csv"),
 )
 
 
 CHANGE = 10  # night from which on the motors of `OTHERS` are changed
-# Unstated oil of a tank, a stated change of it, a meter, all gaps, flushing, an overhaul.
+# Unstated oil of a tank, a stated change of it, a meter, all gaps, an overhaul.
 OTHERS = (
     *(Simulated(f"thinner_{n}", unstated_oil=(CHANGE, "vg46"), circuit="tank") for n in (1, 2)),
     Simulated(
@@ -78,12 +77,6 @@ OTHERS = (
         "overhauled",
         step(SLEEVE, at=1, gap=0.15, repaired_on=6),
         lines=f'[[events]]\ndate = {FIRST + 5 * DAY}\nkind = "overhaul"\nnote = "new sleeves"\n',
-    ),
-    Simulated(
-        "flushed",
-        step(SLEEVE, at=CHANGE, gap=0.15),
-        flushing=1.0,
-        lines='[flushing]\nmode = "estimated"\nflow_l_per_min = 0.8\nmaximum_l_per_min = 5.0\n',
     ),
 )
 
@@ -109,5 +102,5 @@ def others(shared_folder: Path) -> ScenarioFleet:
 
 @pytest.fixture
 def plant(shared_plant: ScenarioFleet, tmp_path: Path) -> ScenarioFleet:
-    """A fitted fleet of four motors and twenty nights of one's own."""
+    """A fitted fleet of three motors and twenty nights of one's own."""
     return shared_plant.copy(tmp_path / "plant")

@@ -145,7 +145,7 @@ def test_an_alarm_ends_the_run_with_1_where_that_is_asked_for(plant: ScenarioFle
     done = plant.run("fit-fleet", "--fail-on-alarm", "--json")
     assert done.code == 1
     states = {row["motor_id"]: row["state"] for row in plant.table("latest").to_dicts()}
-    assert states == {"calm": "ok", "broken": "alarm", "worn": "alarm", "ringed": "warning"}
+    assert states == {"calm": "ok", "broken": "alarm", "worn": "alarm"}
     assert plant.run("fit-fleet", "--fail-on-alarm").code == 0  # nothing new
     raised = plant.table("alarms").filter(pl.col("to_state") == "alarm")
     assert {row["motor_id"] for row in raised.to_dicts()} == {"broken", "worn"}

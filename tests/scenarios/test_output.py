@@ -44,7 +44,7 @@ def test_csv_for_a_spreadsheet_with_a_decimal_comma(plant: ScenarioFleet) -> Non
     value = "own_leakage_l_per_min"
     published = plant.table("latest").select("motor_id", value).sort("motor_id")
     assert_frame_equal(written.select("motor_id", value).sort("motor_id"), published)
-    assert "latest.csv: 4 rows" in done.out
+    assert "latest.csv: 3 rows" in done.out
 
 
 @covers("prune --tables --keep --yes --json --output")
@@ -78,12 +78,12 @@ def test_check_looks_at_each_log(plant: ScenarioFleet) -> None:
         channels = {channel["channel"]: channel for channel in line["channels"]}
         assert 15.0 < channels["pressure_difference"]["median"] < 280.0
         assert round(channels["speed"]["rate_hz"], 3) == 1.0
-    plant.log("ringed", 7).write_text("time,pressure_difference\n1,2\n")
+    plant.log("calm", 7).write_text("time,pressure_difference\n1,2\n")
     plant.change("motors/broken.toml", 'source = "speed"', 'source = "rpm"')
     damaged = motors(1)
-    assert "ringed_2026-01-08.csv" in str(damaged["ringed"]["faults"])
+    assert "calm_2026-01-08.csv" in str(damaged["calm"]["faults"])
     assert "rpm" in str(damaged["broken"]["faults"])
-    assert damaged["calm"]["faults"] == []
+    assert damaged["worn"]["faults"] == []
 
 
 @covers("check --json --output")

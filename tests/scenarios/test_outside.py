@@ -126,7 +126,7 @@ def test_metrics_and_heartbeat_say_what_the_tables_say(plant: ScenarioFleet) -> 
         assert by_motor[motor, "data_timestamp_seconds"] == row["last_sample"].timestamp()
         assert by_motor[motor, "standing_failures"] == (motor == "calm")
     beat = json.loads((plant.output / "heartbeat.json").read_text())
-    assert (beat["state"], beat["n_motors"], beat["n_motors_done"]) == ("finished", 4, 4)
+    assert (beat["state"], beat["n_motors"], beat["n_motors_done"]) == ("finished", 3, 3)
     (run,) = [row for row in plant.table("runs").to_dicts() if row["run_id"] == beat["run_id"]]
     assert (run["status"], run["n_motors_failed"]) == ("motors_failed", 1)
 
@@ -150,7 +150,7 @@ def test_examples_do_what_their_page_says(plant: ScenarioFleet) -> None:
         assert done.code == 0, done.err
         command = call.split()[1]
         if command == "fit-fleet":
-            assert done.events("run")[0]["n_motors"] == 4
+            assert done.events("run")[0]["n_motors"] == 3
         elif command == "report":
             page = plant.output / "report" / "index.html"
             assert "Plan an inspection" in page.read_text("utf-8")
@@ -165,13 +165,13 @@ def test_pages_say_what_the_tables_say(plant: ScenarioFleet) -> None:
     moved = ScenarioFleet(plant.folder, plant.motors, plant.plan, output_name="moved")
     done = plant.run("report", "--output", moved.output, "--to", "pages", "--nights", 3)
     pages = plant.folder / "pages"
-    assert done.out.startswith("4 motors, 3 nights updated")
+    assert done.out.startswith("3 motors, 3 nights updated")
     assert done.out.strip().endswith(str(pages / "index.html"))
     index = (pages / "index.html").read_text("utf-8")
     order = re.findall(r'<tr data-motor="(\w+)">', index)
     status = plant.run("status", "--output", moved.output).out.splitlines()[1:]
     assert order == [line.split("\t")[0] for line in status]
-    assert re.findall(r'<li data-motor="(\w+)">', index) == order[:3]  # those that need attention
+    assert re.findall(r'<li data-motor="(\w+)">', index) == order[:2]  # those that need attention
     for row in moved.table("latest").to_dicts():
         page = (pages / "motors" / f"{row['motor_id']}.html").read_text("utf-8")
         assert row["sentence"][1:].split(";")[0] in page
@@ -179,6 +179,6 @@ def test_pages_say_what_the_tables_say(plant: ScenarioFleet) -> None:
         nights = sorted((pages / "data" / row["motor_id"]).glob("*2026-01-*"))
         assert [path.stem[-10:] for path in nights] == [f"2026-01-{day}" for day in (19, 20, 21)]
     again = plant.run("report", "--output", moved.output, "--to", "pages", "--nights", 3)
-    assert again.out.startswith("4 motors, 0 nights updated, 1 file written")
+    assert again.out.startswith("3 motors, 0 nights updated, 1 file written")
     nothing = plant.run("report", "--output", plant.folder / "nowhere")
     assert (nothing.code, "run fit-fleet first" in nothing.err) == (4, True)

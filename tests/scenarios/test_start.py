@@ -54,7 +54,7 @@ def test_the_demo_is_as_long_as_asked_for_and_the_same_for_a_seed(tmp_path: Path
 @covers("init --to --answer --write --add")
 def test_a_proposed_fleet_gives_the_figures_of_the_stated_one(plant: ScenarioFleet) -> None:
     logs, aside = plant.folder / "logs", plant.folder / "aside"
-    for motor in ("worn", "calm", "ringed"):
+    for motor in ("worn", "calm"):
         shutil.move(logs / motor, aside / motor)
     ask = plant.folder / "mine"
     asked = run_command("init", logs, "--to", ask, folder=plant.folder)

@@ -22,7 +22,6 @@ PLANT_STATES = {
     "calm": ("ok", None, None),
     "broken": ("warning", SLEEVE, 14),
     "worn": ("warning", PISTON, 11),
-    "ringed": ("warning", RING, 13),
 }
 # Of causes that are no wear: the true change of the flow [%], too, where it is no path's.
 OTHER_STATES = {
@@ -30,7 +29,6 @@ OTHER_STATES = {
     "thinner_2": ("alarm", "oil_grade", CHANGE, None),
     "metered": ("warning", "all_flows", CHANGE, 25.0),
     "aged": ("warning", "all_gaps", CHANGE, None),
-    "flushed": ("warning", SLEEVE, CHANGE, None),
     "overhauled": ("ok", None, None, None),
 }
 
@@ -52,9 +50,8 @@ def test_wear_is_named_sized_and_dated(shared_plant: ScenarioFleet, motor: str) 
     assert newest["onset_earliest"] <= began <= newest["onset_latest"]
     assert began < newest["detected_on"] <= began + 4 * DAY
     assert newest["cause_probability"] > 0.9
-    if cause != RING:  # a change of the rings hardly shows in the flow: its size is not stated
-        gap = shared_plant.truth().gap_change_percent(motor, cause, last)
-        assert last["gap_change_lower"] < gap < last["gap_change_upper"]
+    gap = shared_plant.truth().gap_change_percent(motor, cause, last)
+    assert last["gap_change_lower"] < gap < last["gap_change_upper"]
 
 
 @pytest.mark.parametrize("motor", OTHER_STATES)
@@ -74,15 +71,16 @@ def test_other_causes_are_not_taken_for_wear(others: ScenarioFleet, motor: str) 
         assert newest["baseline_start"] == others.label(6)
 
 
-def test_flushing_is_no_leakage(others: ScenarioFleet) -> None:
+def test_flushing_is_no_leakage(demo: ScenarioFleet) -> None:
     """The estimated flushing is that of the truth, and the leakage is without it."""
-    truth = others.truth()
-    row = others.nights("flushed")[3]
-    figures = others.table("parameters").rows_by_key(["motor_id", "night", "parameter"], named=True)
-    ((flow,),) = (figures["flushed", row["night"], "C_f"],)
-    assert flow["lower"] < truth.document["motors"]["flushed"]["nights"][str(row["night"])][
-        "C_f_l_per_min"
-    ] < flow["upper"]  # fmt: skip
+    motor = "CB1120-01"
+    truth = demo.truth().document["motors"][motor]["nights"]
+    flows = demo.table("parameters").filter(motor_id=motor, parameter="C_f").drop_nulls("lower")
+    held = [
+        row["lower"] < truth[str(row["night"])]["C_f_l_per_min"] < row["upper"]
+        for row in flows.to_dicts()
+    ]
+    assert sum(held) > 0.8 * len(held) > 20
 
 
 def test_a_change_of_the_oil_that_is_stated_carries_the_baseline_across(
@@ -210,7 +208,7 @@ def test_what_people_enter_is_published_and_shown(plant: ScenarioFleet) -> None:
 OPENED = "ack broken --note x --opened"
 # By what would do nothing, words of its refusal.
 REFUSED = {
-    "ack M9 --note x": "no motor M9; there are broken, calm, ringed, worn",
+    "ack M9 --note x": "no motor M9; there are broken, calm, worn",
     "ack calm --note x": "calm",
     "ack broken flow_zero --note x": "has had no alarm of 'flow_zero'; alarms so far: leakage",
     "ack broken --note x --finding yes": "is not one of 'confirmed'",
