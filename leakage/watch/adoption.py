@@ -55,6 +55,7 @@ from leakage.watch.state import (
     on_first_baseline,
     present,
     probability_back,
+    since_before,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
@@ -163,9 +164,18 @@ def in_force_of(
     circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """Return the change that is detected from a day on, with its name."""
-    name = _named(state, evidence, attribution)
+    name, leakage = _named(state, evidence, attribution), attribution.leakage
+    if TEMPERATURE_EFFECT in (
+        name.likeliest.name,
+        evidence.causes.every[attribution.likeliest].name,
+    ):
+        # Its size is none of the leakage. Where that has changed at the motor's usual operating
+        # point, with evidence of its own, no effect of temperature explains it.
+        level = since_before(state, attribution.start)
+        if 0.5 * (level.value / level.sd) ** 2 >= state.settings.limit:
+            name, leakage = _open(name), level
     prior = _before(state, detected_on)
-    is_rise = attribution.leakage.value > 0.0
+    is_rise = leakage.value > 0.0
     if circuit is not None and circuit.is_common:
         name = replace(name, cause=TANK, probability=circuit.probability, alike=())
     continues = prior is not None and _is_the_same(prior.change, name, is_rise=is_rise)
@@ -177,9 +187,9 @@ def in_force_of(
         if cause == NOT_IDENTIFIED:
             cause, probability = prior.change.cause, prior.change.probability
             alike = alike or prior.change.alike
-    growth = state.growth_of(cause, attribution.leakage)
+    growth = state.growth_of(cause, leakage)
     if prior is not None and continues and prior.change.cause == cause:
-        growth = grown_as(prior.change, attribution.leakage)
+        growth = grown_as(prior.change, leakage)
     change = Change(
         cause,
         probability,
@@ -191,7 +201,7 @@ def in_force_of(
         lower,
         upper,
         detected_on,
-        attribution.leakage,
+        leakage,
         growth,
         name.likeliest.grade,
         continues,
@@ -214,8 +224,13 @@ def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> N
     before = state.in_force
     is_open = before is None or before.attribution is None or not before.change.candidates
     if is_open and state.evidence < state.settings.limit:
-        return replace(name, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
+        return _open(name)
     return name
+
+
+def _open(name: Name) -> Name:
+    """Return a name of which nothing is known."""
+    return replace(name, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -366,7 +381,9 @@ def across_event(state: WatchState, machine: Machine, day: int, spread: float) -
     state = event_settled(state)
     in_force = state.in_force
     if in_force is not None:
-        in_force = replace(in_force, attribution=None, prior=None)
+        # What stood stands until nights contradict it: the event's own step is no sign of its end.
+        known = in_force.settled if in_force.attribution is None else mean_change(state)
+        in_force = replace(in_force, attribution=None, prior=None, settled=known)
     state = replace(state, in_force=in_force)
     now, state = present(state), replace(state, machine=machine)
     p, flows = state.baseline.n_paths, state.baseline.leakage_flows

@@ -99,12 +99,16 @@ def _of_gaps(machine: Machine, baseline: Baseline) -> Iterator[Cause]:
 
 
 def _by_oil(machine: Machine, baseline: Baseline) -> Array:
-    """Return all flows that follow the oil's viscosity: a flushing and further flows do not."""
+    """Return all flows that follow the oil's viscosity: a flushing and further flows do not.
+
+    All flows where the baseline gives those next to nothing: the surface alone is no flow.
+    """
     direction = baseline.all_flows
     direction[baseline.columns.n_driven : baseline.n_paths] = 0.0
     if FLUSHING in machine.paths:
         direction[machine.paths.index(FLUSHING)] = 0.0
-    return direction
+    is_flow = float(direction @ baseline.own_row) >= choices.LEAST_SHARE_TO_SHOW
+    return direction if is_flow else baseline.all_flows
 
 
 def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> Iterator[Cause]:

@@ -377,7 +377,7 @@ def mean_change(state: WatchState) -> Estimate:
         return now
     change = in_force.settled
     if in_force.attribution is not None and in_force.change.cause != TEMPERATURE_EFFECT:
-        change = _since_before(state, in_force.attribution.start)
+        change = since_before(state, in_force.attribution.start)
         if now.value * change.value <= 0.0 or state.evidence < state.settings.limit:
             return now
     if change is None or change.holds_zero or not now.lower <= change.value <= now.upper:
@@ -385,7 +385,7 @@ def mean_change(state: WatchState) -> Estimate:
     return change
 
 
-def _since_before(state: WatchState, start: int) -> Estimate:
+def since_before(state: WatchState, start: int) -> Estimate:
     """Return the change of the leakage from a day on, against ten nights before at most."""
     place, most = state.place(start), choices.PRESENT_NIGHTS
     after, before = slice(max(place, len(state.window) - most), None), max(0, place - most)

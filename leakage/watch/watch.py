@@ -101,8 +101,7 @@ class Watch:
         in_force = self.state.in_force
         if not others or in_force is None or in_force.attribution is None:
             return self
-        since = in_force.change.since
-        size, changes = self.change_since(since), [other.change_since(since) for other in others]
+        size, *changes = (motor.change_since(*in_force.change.dates) for motor in (self, *others))
         known = [change for change in changes if change is not None]
         circuit = None if size is None else circuit_change(size, known)
         named = in_force_of(
@@ -131,11 +130,12 @@ class Watch:
             nights_beyond(state) > 0,
         )
 
-    def change_since(self, day: int) -> Estimate | None:
+    def change_since(self, day: int, first: int, last: int) -> Estimate | None:
         """Return the leakage's change from a day on; None without nights on both sides (7c.5).
 
-        The level of at most ten nights from then on, less that of the ten before. An adopted change
-        is in no window any more: it is the change where it may have begun then.
+        The day is known as between two: the level of at most ten nights from the last on, less that
+        of the ten before the first. An adopted change is in no window any more: it is the change
+        where it may have begun then.
         """
         state, in_force = self.state, self.state.in_force
         if (
@@ -149,12 +149,13 @@ class Watch:
             days = choices.CIRCUIT_DAYS
             if lower - days <= day <= upper + days:
                 return change.size
-        place, most = state.place(day), choices.PRESENT_NIGHTS
+        place, most = state.place(last), choices.PRESENT_NIGHTS
         if not 0 < place < len(state.window):
             return None
+        end = max(1, state.place(first))
         level = state.level_along(state.baseline.leakage_flows)
         after = level.mean(slice(place, place + most))
-        before = level.mean(slice(max(0, place - most), place))
+        before = level.mean(slice(max(0, end - most), end))
         return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:

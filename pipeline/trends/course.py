@@ -185,7 +185,7 @@ class Course:
             baseline=self.baseline,
             watch=self.watch,
             verdict=verdict,
-            own_leakage=self._own_leakage(self.baseline, verdict, place),
+            own_leakage=self._own_leakage(verdict, place),
             reference_leakage=self._leakage(self.reference, place),
         )
         if n_blocks:
@@ -201,22 +201,32 @@ class Course:
         charge = None if self.baseline is None else self.baseline.own.charge_over_case_bar
         return self.spec.settings.reference.conditions(charge)
 
-    def _own_leakage(self, baseline: Baseline, verdict: Verdict, place: int) -> Estimate | str:
+    def first_leakage(self, place: int) -> float | str:
+        """Return the baseline's leakage at the motor's own conditions, by the oil of a night."""
+        assert self.watch is not None
+        assert self.baseline is not None
+        own, first = self.baseline.own, self.nights.place_from(self.baseline.end)
+        now, then = self.drives_at(own, place), self.drives_at(own, first)
+        if isinstance(now, str) or isinstance(then, str) or self.baseline.own_leakage is None:
+            return now if isinstance(now, str) else OUT_OF_REACH
+        after, before = (
+            self.watch.frozen_leakage_at(drives, _measured(own)) for drives in (now, then)
+        )
+        return self.baseline.own_leakage * after / before
+
+    def _own_leakage(self, verdict: Verdict, place: int) -> Estimate | str:
         """Return leakage now at the motor's own conditions: the baseline's and its change (7c.3).
 
-        By the oil of the night, which the change is no part of. What an estimated flushing takes of
-        the drain flow, it takes in the baseline and now.
+        The oil is no part of the change. What an estimated flushing takes of the drain flow, it
+        takes in the baseline and now.
         """
         assert self.watch is not None
-        first = self.nights.place_from(baseline.end)
-        now, then = self.drives_at(baseline.own, place), self.drives_at(baseline.own, first)
-        if isinstance(now, str) or isinstance(then, str) or baseline.own_leakage is None:
-            return now if isinstance(now, str) else OUT_OF_REACH
-        theta, in_force = np.array(baseline.coefficients), self.watch.state.in_force
+        flow, in_force = self.first_leakage(place), self.watch.state.in_force
+        if isinstance(flow, str):
+            return flow
         change = verdict.newest_night
         if in_force is not None and in_force.change.cause in NO_LEAKAGE:
             change = in_force.before
-        flow = baseline.own_leakage * float(theta @ now) / max(float(theta @ then), 1e-12)
         grown = 1.0 + change.value
         missed = LEAKAGE_BY_LACK * self.watch.state.baseline.lack_of_fit
         split = self.watch.state.baseline.split_error

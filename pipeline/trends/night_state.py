@@ -202,7 +202,7 @@ def _as_shown(change: Change, night: NightState) -> Change:
     candidates = dict(sorted(candidates.items(), key=lambda candidate: -candidate[1]))
     if cause not in NOT_OF_SHAPE and is_class:
         likeliest, share = next(iter(candidates.items()), (NOT_IDENTIFIED, 0.0))
-        if share >= NAMED and likeliest != SEVERAL:
+        if share >= NAMED and likeliest not in (SEVERAL, TEMPERATURE_EFFECT):
             cause, probability = likeliest, share
         elif is_prior or A_PART in shown(parts_of(cause, machine.gaps)):
             cause, probability = NOT_IDENTIFIED, share

@@ -58,12 +58,18 @@ def leakage_rows(course: Course, night: NightState) -> tuple[list[Row], Row]:
         row = _leakage_row(night, name)
         if "value" in row and frozen is not None and night.verdict is not None:
             row["baseline_mean"] = frozen
-            limit = stated if name == REFERENCE else frozen * rise
+            limit = stated if name == REFERENCE else _risen(course, night, rise)
             line, days = _line(course, night, name, limit if night.may_wear else None)
             row |= line
             dated += [days] if days else []
         rows.append(row)
     return rows, limits | min(dated, key=_earliest, default={})
+
+
+def _risen(course: Course, night: NightState, rise: float) -> float | None:
+    """Return what the baseline's leakage has to grow to, by the oil of the night."""
+    first = course.first_leakage(night.place)
+    return None if isinstance(first, str) else rise * first
 
 
 def _earliest(days: Row) -> tuple[bool, float]:
@@ -92,11 +98,13 @@ def _frozen(night: NightState, name: str) -> float | None:
 def _line(course: Course, night: NightState, name: str, limit: float | None) -> tuple[Row, Row]:
     """Return slopes of a leakage since the change in force or the baseline, and days to its limit.
 
-    A line across a step, or across nights before a wear began, is none.
+    A line across a step, as that of another oil, or across nights before a wear began, is none.
     """
     nights, first, end = course.nights, night.period.first, night.place + 1
+    begins = [event.date for event in night.spec.file.changes if event.date <= night.night]
     if night.change is not None:
-        first = max(first, nights.place_from(dt.date.fromordinal(night.change.since)))
+        begins.append(dt.date.fromordinal(night.change.since))
+    first = max([first, *map(nights.place_from, begins)])
     here = slice(first, end)
     numbers, series = nights.numbers[here], course.figures[here, WATCHED.index(name)]
     hours = nights.running_hours(end)[first:]

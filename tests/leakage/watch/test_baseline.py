@@ -109,6 +109,15 @@ def test_flows_that_follow_no_viscosity_stand_beside_the_model_where_it_misses_m
     assert not grade.direction[further].any()
 
 
+def test_where_nothing_follows_the_oil_all_flows_are_those_that_do_not() -> None:
+    """A direction that is no flow would size a change of the meter by the surface alone."""
+    nights = [replace(night, flow=0.0 * night.flow) for night in Plant().nights(15, 1)]
+    baseline = baseline_of(CB560, with_further_flows(nights, (0.5, 0.3, 0.2)))
+    for cause in causes_of(CB560, baseline):
+        if cause.name in ("all_flows", "oil_grade", "temperature_sensor"):
+            assert abs(cause.direction @ baseline.own_row) > 0.1
+
+
 def test_air_in_the_drain_line_is_no_part_of_the_baseline() -> None:
     """A block in twenty shows twice the flow: ordinary ones of the same nights do not lie below."""
     nights = Plant().nights(15, 1)

@@ -10,9 +10,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage.watch import Machine, NightBlocks, Watch, WatchSettings, adoption, choices, wander
-from leakage.watch.adoption import across_event, in_force_of, with_evidence, with_new_wander
+from leakage.watch import (
+    Estimate,
+    Machine,
+    NightBlocks,
+    Watch,
+    WatchSettings,
+    adoption,
+    choices,
+    wander,
+)
+from leakage.watch.adoption import (
+    across_event,
+    in_force_of,
+    with_evidence,
+    with_new_wander,
+)
 from leakage.watch.attribution import attribute
+from leakage.watch.causes import TEMPERATURE_EFFECT
 from leakage.watch.evidence import Sums
 from leakage.watch.odd_nights import odd_nights_are_single
 from leakage.watch.state import nights_beyond
@@ -416,13 +431,14 @@ def test_no_doubt_about_a_flushing_takes_a_change_away() -> None:
 
 def test_change_since_is_what_others_on_the_tank_are_asked() -> None:
     watch, adopted = (story("meter", 2)[night - FIRST] for night in (35, 45))
-    change = watch.change_since(BEGIN)
-    assert change.lower < 0.10 < change.upper
-    assert watch.change_since(0) is watch.change_since(36) is None
+    for dates in ([BEGIN] * 3, [BEGIN - 5, BEGIN - 8, BEGIN]):
+        change = watch.change_since(*dates)
+        assert change.lower < 0.10 < change.upper
+    assert watch.change_since(0, 0, 0) is watch.change_since(36, 36, 36) is None
     # Adopted ten nights after it was detected, it is what has changed for others that ask
     # later.
     assert adopted.state.in_force.attribution is None
-    later, before = adopted.change_since(BEGIN), adopted.change_since(40)
+    later, before = adopted.change_since(*[BEGIN] * 3), adopted.change_since(40, 40, 40)
     assert later.lower < 0.10 < later.upper
     assert before.lower < 0.0 < before.upper
 
@@ -464,6 +480,30 @@ def test_an_event_with_the_same_motor_keeps_its_changes(
         assert (verdict.change is not None) == (grown_by(night) > 0.0)
     # Wear of later nights is none of the event's step.
     assert watches[-1].state.crossing is None
+
+
+def test_a_warning_stands_at_an_event_that_comes_as_it_settles() -> None:
+    """7c.6: what an event may have moved is no sign that a change has ended."""
+    growth = grown("all_flows", 0.06, BEGIN)
+    watches = crossed(Plant(growth=growth).nights(50, 1), BEGIN + 6, 0.09)
+    changes = [watch.verdict().change for watch in watches[BEGIN + 3 - FIRST :]]
+    assert all(change is not None and change.is_rise for change in changes)
+
+
+def test_no_effect_of_temperature_explains_a_leakage_that_has_changed() -> None:
+    """Its size is that in ten kelvin: fallen, as the leakage at the usual point has risen."""
+    for name, causes, size in (
+        ("meter", {OPEN}, 0.10),
+        ("healthy", {OPEN, TEMPERATURE_EFFECT}, -0.2),
+    ):
+        state = replace(story(name, 1)[35 - FIRST].state, in_force=None)
+        evidence = state.evidence_now()
+        effect = [cause.name for cause in evidence.causes.every].index(TEMPERATURE_EFFECT)
+        attribution = attribute(evidence, state.baseline, np.arange(BEGIN, BEGIN + 1))
+        cold = replace(attribution, likeliest=effect, leakage=Estimate(-0.2, 0.02))
+        change = in_force_of(state, evidence, cold, state.day).change
+        assert change.cause in causes
+        assert change.size.value == pytest.approx(size, abs=0.02)
 
 
 def small_nights(n: int, seed: int, growth: Callable[[int], float]) -> list[NightBlocks]:

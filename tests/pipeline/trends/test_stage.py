@@ -28,6 +28,7 @@ from pipeline.trends.tasks import (
     write_record,
 )
 from pipeline.workers.process import Loss
+from tests.leakage.watch.made_machine import VG_46, VG_68, kinematic_viscosity
 from tests.pipeline.trends.nights import (
     Nights,
     copy_of,
@@ -109,6 +110,20 @@ def test_nights_without_blocks_hold_then_are_stale_and_never_green(tmp_path: Pat
     assert ": stood still; leakage of the balance sleeve" in stale["sentence"]
     assert (stale["leakage_change_percent"], stale["leakage_reason"]) == (None, "stood still")
     assert stale["state_since"] == night_of(AT + 10)
+
+
+def test_a_stated_change_of_oil_is_no_way_to_a_limit(tmp_path: Path) -> None:
+    """Thinner oil leaks more than the alarm level; the motor is as it was."""
+    spec = named(motor(), "M1", events=[event(25, "oil_change", oil="vg46")])
+    lines = f'[[events]]\ndate = {night_of(25)}\nkind = "oil_change"\noil = "vg46"\n'
+    config, output = fleet_of(tmp_path, Nights(spec, 55), more={"M1": lines})
+    run(config)
+    nights = published_trends(output, NIGHTS)
+    assert set(nights["days_to_limit_status"][40:]) <= {"insufficient", "no_trend", "not_before"}
+    before, after = nights["own_leakage_l_per_min"][24], nights["own_leakage_l_per_min"][54]
+    at_c = nights["own_temperature_c"][54]
+    vg_68, vg_46 = (kinematic_viscosity(oil, at_c) for oil in (VG_68, VG_46))
+    assert after / before == pytest.approx(vg_68 / vg_46, rel=0.03)
 
 
 # Which nights
