@@ -111,6 +111,8 @@ def unread_unit(name: str, unit: str = "") -> str:
     --------
     >>> [unread_unit(name) for name in ("q [0.1 l/min]", "q [l/min] x10", "q [mA]", "q [l/min]")]
     ['0.1 l/min', 'x10', 'mA', '']
+    >>> unread_unit("q gpm (imp)"), unread_unit("q [10 mbar]"), unread_unit("[default]M1.dp")
+    ('imp', '10 mbar', '')
     """
     # What a name begins with is a place: "[default]Drive 1/dp".
     bracketed: list[str] = _BRACKETED.findall(_LABEL.sub("", name)[1:])
