@@ -16,7 +16,7 @@ from pipeline.arrays import Rows
 from pipeline.clock import IN_FUTURE, microseconds
 from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.cells import is_bad, nulls, quality_states
+from pipeline.ingest.cells import is_bad, may_be_number, nulls, quality_states
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.time_stamps import (
     TimeStamps,
@@ -99,7 +99,7 @@ def raw_channel(
             channel.source,
         )
     value = _in_canonical_unit(name, channel, time_us, readings.raw)
-    return _frozen(RawChannel(time_us, value, readings.missing, unparsed, bad))
+    return _frozen(RawChannel(time_us, value, readings.missing, unparsed, bad, readings.example))
 
 
 def _frozen(channel: RawChannel) -> RawChannel:
@@ -146,7 +146,8 @@ class _Column:
         self.raw.append(part.raw)
         self.missing.append(part.missing)
         self.unparsed.append(part.unparsed)
-        self.example = self.example or part.example
+        examples = [cell for cell in (self.example, part.example) if cell]
+        self.example = max(examples, key=may_be_number, default=None)
 
     def taken(self) -> Readings:
         parts = self.raw.taken(), self.missing.taken(), self.unparsed.taken()
@@ -296,7 +297,7 @@ def raw_log(
     """Return a log with a note for each reason, which begins with the noun of what is counted."""
     parted = ((reason.partition(" "), count) for reason, count in refused.items() if count)
     notes = [f"{counted(count, noun)} {what}" for (noun, _, what), count in parted]
-    return RawLog(channels, rows, (*notes, *remarks))
+    return RawLog(channels, rows, (*notes, *remarks), sum(refused.values()))
 
 
 @dataclass(frozen=True, slots=True)

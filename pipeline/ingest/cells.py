@@ -14,12 +14,20 @@ from numpy.typing import NDArray
 from pipeline.config.channels import QualityValue
 from pipeline.errors import LogError
 
+NUMBER_LIKE = r"^[^#]*\d[^#]*$"
+"""What has a digit, but #DIV/0! and 1.#QNAN."""
+
 _GOOD, _BAD, _BLANK = 0, 1, 2
 """States of a cell of a quality column."""
 
 _MOST_VALUES = 1000
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?")
 _TRUTH = {"true": 1.0, "false": 0.0}
+
+
+def may_be_number(cell: str) -> bool:
+    """True for a cell that may be a number in another dialect, and is no word for none."""
+    return re.search(NUMBER_LIKE, cell) is not None
 
 
 def is_text(kind: pa.DataType) -> bool:

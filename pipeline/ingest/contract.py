@@ -41,6 +41,12 @@ class RawChannel:
     # Samples that the log itself does not call good; also blank cells, where their quality is
     # stated. None: the source names no quality.
     bad_quality: NDArray[np.bool_] | None = None
+    example: str | None = None  # of cells that are no number: the first, if any with a digit
+
+    @property
+    def such_as(self) -> str:
+        """The example in words, behind what is said of such cells."""
+        return f", such as {self.example[:40]!r}" if self.example else ""
 
     def rows(self, chosen: Rows, time_us: NDArray[np.int64] | None = None) -> RawChannel:
         """Some of its samples, with stamps that channels share where these are given.
@@ -54,6 +60,7 @@ class RawChannel:
             self.missing[chosen],
             self.unparsed,
             None if bad is None else bad[chosen],
+            self.example,
         )
 
     @staticmethod
@@ -70,6 +77,7 @@ class RawChannel:
             np.concatenate([part.missing for part in parts]),
             sum(part.unparsed for part in parts),
             None if all(own is None for own in marks) else np.concatenate(bad),
+            next((part.example for part in parts if part.example), None),
         )
 
 
@@ -80,6 +88,7 @@ class RawLog:
     channels: Mapping[str, RawChannel]  # by name, all that are wanted
     rows: int  # rows of a table, or messages of the topics read, that have a time stamp
     notes: tuple[str, ...] = ()  # what was left out, each with its count and reason, a line each
+    left_out: int = 0  # rows or messages that were
 
     def stamps(self) -> list[NDArray[np.int64]]:
         """Time stamps of channels: those that several share, as in a table, once."""
@@ -170,7 +179,7 @@ def validate(log: object, channels: Iterable[str], latest_us: int = LATEST_US) -
     for name, channel in log.channels.items():
         _require_arrays(name, channel)
     counts = {f"unparsed of {name}": raw.unparsed for name, raw in log.channels.items()}
-    for name, count in {"rows": log.rows, **counts}.items():
+    for name, count in {"rows": log.rows, "left_out": log.left_out, **counts}.items():
         if type(count) is not int or count < 0:
             raise ValueError(f"gave {name} as {count!r}, not as a count")
     if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):

@@ -28,6 +28,7 @@ from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
+from pipeline.ingest.cells import NUMBER_LIKE
 from pipeline.ingest.contract import LogFile, RawLog, Reader
 from pipeline.ingest.table import Columns, RawTable, require_columns, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
@@ -339,7 +340,9 @@ def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Read
     missing = numbers.is_null()
     blank = trimmed.is_null() | trimmed.is_in(logs.missing_tokens)
     unparsed = missing & ~blank
-    example = next(iter(texts.filter(unparsed).head(1)), None)
+    lost = texts.filter(unparsed)
+    numbers_lost = lost.filter(lost.str.contains(NUMBER_LIKE))
+    example = next(chain(numbers_lost.head(1), lost.head(1)), None)
     raw = numbers.fill_null(np.nan).to_numpy()
     return Readings(raw, missing.to_numpy(), unparsed.to_numpy(), example)
 

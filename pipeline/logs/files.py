@@ -123,7 +123,7 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     """
     stamps, notes = log.stamps(), list(log.notes)
     notes += [
-        f"{counted(part.unparsed, 'cell')} of {name} without a number"
+        f"{counted(part.unparsed, 'cell')} of {name} without a number{part.such_as}"
         for name, part in log.channels.items()
         if part.unparsed
     ]

@@ -66,6 +66,7 @@ from pipeline.setup.samples import (
     repeated_extremes,
     sampling_note,
     temperature_jumps,
+    unread,
 )
 from pipeline.trends.decisions import Decision
 
@@ -164,7 +165,9 @@ def check_motor(
         )
     broken = {name for name in names if logs.files[name].status != records[name].status}
     read = {name: logs.files[name] for name in broken}
-    faults = [*_file_faults(source, records), *_messages(read, "failed"), *unfit]
+    lost = {key: words for look in reversed(looks) for key, words in look.lost.items()}
+    faults = [*_file_faults(source, records), *_messages(read, "failed")]
+    faults += [*(f"cells_unread: {words}" for words in lost.values()), *unfit]
     if not faults:
         # Of a plant's first day there is nothing to mend.
         unfitted = notes if _is_first_night(spec, records) else faults
@@ -251,6 +254,7 @@ class _NightLook:
     extremes: Mapping[str, str] = field(default_factory=dict)  # as `repeated_extremes`
     is_changed: bool = False  # whether it is refused for columns or units other than before
     cold: tuple[str, ...] = ()  # what its errors say of cold starts
+    lost: Mapping[str, str] = field(default_factory=dict)  # of its logs, as `unread`
 
 
 def _every_look(
@@ -312,6 +316,12 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         return _NightLook(label, FAILED, broken[0].message or "")
     if not channels:
         return _NightLook(label, NO_NEW_DATA, NO_LOG)
+    lost = {
+        key: f"{name}: {words}"
+        for name in logs.of_night(label)
+        if (log := logs.content(name)) is not None
+        for key, words in unread(log).items()
+    }
     extremes, fitted = repeated_extremes(spec, channels), list[Samples]()
     outcome = fit_night(spec, night(label, spec.settings.nights), channels, fitted.append)
     logs.let_go_until(label - DAY)
@@ -327,6 +337,7 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
         next((samples for samples in fitted if len(samples.index)), None),
         extremes,
         cold=tuple(explain_warm_up(predictions)),
+        lost=lost,
     )
 
 
@@ -427,10 +438,10 @@ def _look_into(
         return checks, [*changes, *faults], []
     notes = [operation(spec, label, samples), *strange_flow(samples)] if samples else []
     notes += [f"in the night {label}, {words}" for words in look.cold] if look else []
-    if look and not samples:
+    if look and not samples and look.status != OK:
         notes = [f"no sample of the night {label} is kept"]
     for name, channel in spec.file.channels.items():
-        if channel.constant is None:
+        if channel.constant is None and not (look and name in look.lost):
             notes += sampling_note(name, channel, log.channels[name])
     faults = [
         *changes,

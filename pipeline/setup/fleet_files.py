@@ -30,7 +30,7 @@ from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs
 from pipeline.setup.propose import LARGEST_LOG_BYTES, Proposal, ProposedMotor
-from pipeline.setup.samples import silence_keys
+from pipeline.setup.samples import silence_keys, unread
 from pipeline.setup.tables import Column
 from pipeline.units import canonical_unit
 
@@ -263,9 +263,13 @@ def observe(motor: ProposedMotor) -> Observed:
     if newest is None or not is_known or newest.stat().st_size > LARGEST_LOG_BYTES:
         return observed
     try:
-        raw_channels = read_log(newest, logs, channels).channels
+        log = read_log(newest, logs, channels)
     except LogError as error:
         return replace(observed, fault=f"{error.code}: {error.message}")
+    raw_channels, lost = log.channels, unread(log)
+    if lost:
+        words = next(iter(lost.values()))
+        observed = replace(observed, fault=f"cells_unread: {newest.name}: {words}")
     every_us = np.unique(np.concatenate([raw.time_us for raw in raw_channels.values()]))
     sampling = {name: silence_keys(raw, every_us) for name, raw in raw_channels.items()}
     sizes = {name: np.abs(raw.value[np.isfinite(raw.value)]) for name, raw in raw_channels.items()}
@@ -275,7 +279,8 @@ def observe(motor: ProposedMotor) -> Observed:
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
         typical["pressure_difference"] = abs(high - low)
-    sampling = {name: keys for name, keys in sampling.items() if keys}
+    # What is lost leaves silences, too.
+    sampling = {name: keys for name, keys in sampling.items() if keys and name not in lost}
     return replace(observed, typical=typical, sampling=sampling)
 
 

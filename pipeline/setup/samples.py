@@ -17,7 +17,9 @@ from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.channels import COUNTED, TOTAL
-from pipeline.ingest import RawChannel
+from pipeline.ingest import RawChannel, RawLog
+from pipeline.ingest.cells import may_be_number
+from pipeline.messages import counted
 from pipeline.night.cleaning import ChannelRules, CleanChannel, Rests, clean_channel
 from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
 from pipeline.night.masks import near
@@ -47,8 +49,12 @@ JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
 RESTLESS_C, RESTLESS_SHARE = 2.0, 0.02
 # A rule that refuses more of a channel's samples than this has no log of single faults before it.
 MOST_REFUSED = 0.5
+# What cannot be read is rarely lost at random: it is the largest readings, a direction, the hours
+# after a change of the logger.
+MOST_UNREAD = 0.01
 HOW_TO_MEND = {
-    "duplicate_time": "do its stamps lack seconds, or fractions of them? Correct logs.time_format",
+    "duplicate_time": "do its stamps lack seconds, or fractions of them, or are they of another "
+    "column than logs.time should have? Correct logs.time_format, or logs.time",
     "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
     "out_of_range": "is its unit, or valid_range, another?",
     "bad_quality": "are other codes good? Correct quality_good",
@@ -57,6 +63,26 @@ HOW_TO_MEND = {
 # Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
 # 5th to 95th percentile. Of those of 30 minutes and more 92 to 100 % estimated every path.
 RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
+
+
+# What cannot be read
+
+
+def unread(log: RawLog) -> dict[str, str]:
+    """Return what of a log is left out, if it is more than a trace: by channel, or "rows"."""
+    words = {}
+    for name, raw in log.channels.items():
+        marked = 0 if raw.bad_quality is None else np.count_nonzero(raw.bad_quality & raw.missing)
+        is_number = may_be_number(raw.example or "")
+        if is_number and raw.unparsed - marked > MOST_UNREAD * len(raw.missing):
+            words[name] = (
+                f"{counted(raw.unparsed, 'cell')} of {name} without a number{raw.such_as}: set "
+                "decimal, thousands or missing_tokens of [logs], or have them written as numbers"
+            )
+    # A row alone may be that which is being written.
+    if log.left_out > max(MOST_UNREAD * (log.rows + log.left_out), 1):
+        words["rows"] = f"rows are left out, which an analysis lacks: {'; '.join(log.notes)}"
+    return words
 
 
 # What the rules of cleaning refuse
@@ -116,6 +142,8 @@ def mostly_refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator
         shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
         if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
             share = 100 * max(shares.values())
+            if reason == "backward_time" and np.mean(np.diff(time_us) < 0) > MOST_REFUSED:
+                how = "its rows are newest first: have them written oldest first"
             if reason.endswith("_time"):
                 how += f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
             yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"

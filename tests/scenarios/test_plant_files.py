@@ -441,6 +441,22 @@ def negative(at: int, row: list[Any]) -> list[Any]:
     return row if at < 360 else turned
 
 
+def with_commas(at: int, row: list[Any]) -> list[Any]:
+    """Decimal commas from two thirds on, beyond what `init` judges the marks by."""
+    return [f'"{cell}"'.replace(".", ",") for cell in row] if at >= 480 else row
+
+
+def with_remarks() -> str:
+    """Every twentieth row has a remark whose comma makes two cells of it."""
+    text = wide(edit=lambda at, row: [*row[:3], f"{row[3]},{'slow, hot' if at % 20 == 9 else ''}"])
+    return text.replace("\n", ",remark\n", 1)
+
+
+def newest_first() -> str:
+    head, *lines = wide().splitlines()
+    return "\n".join([head, *reversed(lines), ""])
+
+
 # A log, the code of the fault that it is, and words of the fault.
 CHECKED: Mapping[str, tuple[Callable[[], str], str, str]] = {
     "without seconds": (lambda: wide(form="%Y-%m-%d %H:%MZ"), "samples_refused", "stamps lack"),
@@ -459,14 +475,22 @@ CHECKED: Mapping[str, tuple[Callable[[], str], str, str]] = {
         "extreme_repeated",
         "valid_range = [-40,",
     ),
+    "newest first": (newest_first, "samples_refused", "rows are newest first"),
     "minus signs": (lambda: wide(edit=negative), "", ""),
+    "commas further down": (
+        lambda: wide(edit=with_commas),
+        "cells_unread",
+        "without a number, such as",
+    ),
+    "remarks with commas": (with_remarks, "cells_unread", "36 rows with too many or too few cells"),
 }
 
 
 @pytest.mark.parametrize("log", CHECKED)
 def test_what_is_wrong_with_a_log_is_named(log: str, plant: Plant) -> None:
     text, code, words = CHECKED[log]
-    assert plant.init({"w_2026-01-01.csv": text()}).code == 0
+    assert plant.init({"w_2026-01-01.csv": text()}).code == int(code == "cells_unread")
+    assert all(part.sampling == "periodic" for part in plant.motors[0].file.channels.values())
     ended = plant.run("check", "--json")
     assert ended.code == int(bool(code))
     (motor,) = ended.lines

@@ -285,6 +285,12 @@ def test_what_is_a_number(tmp_path: Path, cell: str, value: float | None) -> Non
         np.testing.assert_array_equal(channel.value[:1], [np.nan if value is None else value])
 
 
+def test_the_example_of_what_is_no_number_is_a_number_if_any(tmp_path: Path) -> None:
+    for cells, example in ((("1.#IND,1", "1 020,1", "2,1"), "1 020"), (("off,1", "2,1"), "off")):
+        channel = read(tmp_path, rows(*cells)).channels["pressure_difference"]
+        assert (channel.unparsed, channel.example) == (len(cells) - 1, example)
+
+
 def test_tokens_that_mean_no_sample_are_missing_and_not_unparsed(tmp_path: Path) -> None:
     tokens = ["", " ", "null", "NULL", "NA", "N/A", " NA ", "---", "Bad", "-", "n/a", "#N/A"]
     for bad in (0, 1):

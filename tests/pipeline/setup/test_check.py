@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.config import Channel, load_fleet
 from pipeline.demo.fleet import correlated_noise
-from pipeline.ingest import RawChannel
+from pipeline.ingest import RawChannel, RawLog
 from pipeline.setup.check import MotorCheck, check_motor
-from pipeline.setup.samples import sampling_note
+from pipeline.setup.samples import sampling_note, unread
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import change
 from tests.pipeline.simulated import (
@@ -253,6 +253,13 @@ def test_a_column_or_unit_of_the_header_that_is_another_one(
 
     check = checks_of(daily_logs(tmp_path, header_of))["M1"]
     assert [fault for fault in check.faults if fault.startswith(("column_gone", "unit_"))] == faults
+
+
+@pytest.mark.parametrize(("example", "is_lost"), [("1 020", True), ("I/O Timeout", False)])
+def test_words_for_no_reading_are_no_lost_numbers(example: str, is_lost: bool) -> None:
+    blank = np.arange(100) < 5
+    channel = RawChannel(np.arange(100), np.ones(100), blank, 5, None, example)
+    assert list(unread(RawLog({"speed": channel}, 100))) == ["speed"] * is_lost
 
 
 # Apparent sampling of a channel, on a flow logged in each way by its definition
