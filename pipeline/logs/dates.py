@@ -21,6 +21,7 @@ from pipeline.logs.processed import FileRecord
 FARTHEST_NIGHT = 31 * DAY
 # A log may be named by the day before or behind its stamps, in another zone.
 NEAR_DAYS = 2
+_YEAR_DAYS = 366
 _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 _PARTITION = re.compile(r"[a-z]+=")
 _FORMS = (
@@ -77,9 +78,9 @@ def dated_otherwise(records: Mapping[str, FileRecord]) -> dict[str, int]:
         if record.status == "ok" and record.first_us is not None and record.last_us is not None
         if (days := days_off(name, record.first_us, record.last_us)) is not None
     }
-    # Logs that are all named by a day as far from their stamps are named so.
+    # Logs that are all named by a day as far from their stamps are named so; not years from them.
     ((usual, n_usual),) = Counter(off.values()).most_common(1) or [(0, 0)]
-    usual = usual if n_usual > 1 else 0
+    usual = usual if n_usual > 1 and usual <= FARTHEST_NIGHT.days else 0
     return {name: days for name, days in off.items() if abs(days - usual) > NEAR_DAYS}
 
 
@@ -100,9 +101,12 @@ def without_misdated(records: Mapping[str, FileRecord]) -> dict[str, FileRecord]
 def misdated_message(record: FileRecord, days: int) -> str:
     """Return in words how a name contradicts its stamps."""
     first = utc(record.first_us or 0)
+    why = "are day and month the other way round"
+    if days > _YEAR_DAYS:
+        why = "is it counted since another year than 1970"
     return (
         f"its first stamp is of {first.day} {first:%B %Y}, {days} days beside the date in its "
-        "name: are day and month the other way round? Correct logs.time_format, or the log"
+        f"name: {why}? Correct logs.time_format, or the log"
     )
 
 

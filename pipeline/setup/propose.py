@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,8 @@ def propose(
     if not files:
         raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
-    table_of, asked = cache(_sniffed), Asked(answers)
+    table_of = cache(partial(_sniffed, time=answers.get("time", "")))
+    asked = Asked(answers)
     motors, faults, n_done = list[ProposedMotor](), list[str](), 0
     kinds = kinds_of(
         files,
@@ -92,13 +93,15 @@ def propose(
         asked.ask,
     )
     for kind in _without_copies(kinds, table_of, asked):
-        table = table_of(kind.files[-1])
+        tables = map(table_of, reversed(kind.files))
+        table = next((table for table in tables if not _is_empty(table)), table_of(kind.files[-1]))
         n_done += len(kind.files)
         progress(n_done, len(files))
         if isinstance(table, LogError):
             faults.append(f"{table.code}: {table.message}")
             continue
         asked.log = kind.name
+        table = _with_zone_of(table, table_of(kind.files[0]))
         proposed = _motors(_dated_by_names(table, kind), kind, asked)
         motors += proposed
         faults += [f"log_type: {kind.patterns[0]}: {fault}" for fault in table.faults]
@@ -112,12 +115,26 @@ def propose(
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
 
 
-def _sniffed(path: Path) -> Table | LogError:
+def _sniffed(path: Path, time: str) -> Table | LogError:
     """Return a log as it is sniffed, or why it cannot be."""
     try:
-        return sniff(path)
+        return sniff(path, time)
     except LogError as error:
         return error
+
+
+def _is_empty(table: Table | LogError) -> bool:
+    """True for a log that says nothing of its kind, such as that of a day that begins."""
+    return isinstance(table, LogError) and table.code in ("log_empty", "log_truncated")
+
+
+def _with_zone_of(table: Table, first: Table | LogError) -> Table:
+    """The table with the question of the zone, if the first log names none and the newest does."""
+    if isinstance(first, LogError) or any(asked.key == "time_zone" for asked in table.questions):
+        return table
+    asked_first = tuple(asked for asked in first.questions if asked.key == "time_zone")
+    logs = {**table.logs, "time_zone": "UTC"} if asked_first else table.logs
+    return replace(table, logs=logs, questions=(*table.questions, *asked_first))
 
 
 def _in_common(table: Table | LogError) -> object:
@@ -157,7 +174,8 @@ def _why_no_log(folder: Path) -> str:
     packed = any(
         Path(name).suffix in (".zstd", ".zst", ".gz", ".zip", ".bz2", ".xz") for name in names
     )
-    how = ": unpack it (packed are read .csv.gz and .csv.zst alone)" if packed else ""
+    how = "; of text under another name, name it .csv" if names else ""
+    how = ": unpack it (packed are read .csv.gz and .csv.zst alone)" if packed else how
     return f"there is no log ({', '.join(SUFFIXES)}) in it{there}{how}"
 
 
@@ -258,7 +276,8 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     signals = replace(signals, left_out=unread_columns(table))
     motors = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
     if motors:
-        asked.unused |= dict.fromkeys(columns_without_use(table, signals, list(several)))
+        unused = columns_without_use(table, signals, list(several))
+        asked.unused |= dict.fromkeys((*unused, *table.other_times))
     dialect = asked.keys_of(signals) if motors or several else {}
     files = {"files": list(kind.patterns)}
     return [replace(motor, logs={**dialect, **files, **motor.logs}) for motor in motors]

@@ -53,6 +53,7 @@ from pipeline.setup.tables import (
 
 _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
+_LINES_OF_NAMES = 2  # with one of units
 _SEPARATORS = (";", "\t", "|", ",")
 Leaf = tuple[pa.Field, pa.Array]
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
@@ -65,8 +66,8 @@ _NO_READINGS = {
 _STANDARD_UNITS = {("FluidPressure", "fluid_pressure"): "Pa", ("Temperature", "temperature"): "°C"}
 
 
-def sniff(path: Path) -> Table:
-    """Tell the dialect and the columns of a log.
+def sniff(path: Path, time: str = "") -> Table:
+    """Tell the dialect and the columns of a log; `time` is the answer to which has its time.
 
     Raises LogError if the file cannot be read, or its lines are no table.
     """
@@ -74,10 +75,10 @@ def sniff(path: Path) -> Table:
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
-            return _parquet(path)
+            return timed(_parquet(path), path, time)
         if magic.startswith(b"\x89MCAP"):
             return _mcap(path)
-        return _csv(path)
+        return timed(_csv(path), path, time)
 
 
 def header_of(path: Path, logs: Logs) -> dict[str, str]:
@@ -109,6 +110,10 @@ def _csv(path: Path) -> Table:
     (_, _, width), lined, first = tables[separator]
     head = _header(lined[:first], width)
     if head is None:
+        filled = [line for line in lines if line.strip()]
+        is_split = any(mark in line for line in filled[:1] for mark in _SEPARATORS)
+        if not filled or (is_split and len(filled) <= _LINES_OF_NAMES):
+            raise LogError("log_empty", path, "there are no rows below names of columns")
         raise LogError("log_not_csv", path, _why_no_table(lines, separator, width))
     header, units = head
     names = lined[header]
@@ -151,7 +156,7 @@ def _csv(path: Path) -> Table:
     known = Logs.model_fields
     logs = {key: value for key, value in dialect.items() if value != known[key].default}
     table = Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows)
-    return timed(replace(table, left_out=_repeated(names)))
+    return replace(table, left_out=_repeated(names))
 
 
 def _repeated(names: Sequence[str]) -> Cells:
@@ -233,12 +238,18 @@ def _taken_apart(
     samples = [sum(map(_holds_sample, row)) if len(row) == width else 0 for row in rows]
     # A line of a preamble may hold a sample or two, and others follow it that hold none.
     least = max(min(2, max(samples, default=0)), 1)
-    starts = (i for i, n in enumerate(samples) if n >= least and all(samples[i : i + 3]))
-    first = next(starts, None)
-    if width < 2 or first is None:
+    places = [place for place, row in enumerate(rows) if row]
+    starts = (
+        at
+        for at, place in enumerate(places)
+        if samples[place] >= least and all(samples[near] for near in places[at : at + 3])
+    )
+    start = next(starts, None)
+    if width < 2 or start is None:
         return (False, 0.0, 1), rows, 0
-    share = sum(samples[first:]) / (width * sum(map(bool, rows[first:])))
-    is_named = first > 0 and len(rows[first - 1]) == width
+    first = places[start]
+    share = sum(samples[first:]) / (width * len(places[start:]))
+    is_named = start > 0 and len(rows[places[start - 1]]) == width
     return (is_named, share, width), rows, first
 
 
@@ -303,7 +314,7 @@ def _parquet(path: Path) -> Table:
             yield from (tuple(map(_text, row)) for row in first.select(wanted).iter_rows())
 
     table = Table({"format": "parquet"}, (), tuple(columns), (), rows=rows)
-    return timed(replace(table, left_out=(*repeated, *others)))
+    return replace(table, left_out=(*repeated, *others))
 
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
@@ -337,7 +348,9 @@ def _column(field: pa.Field, values: pa.Array) -> Column | None:
     kind, keys = values.type, {"source": field.name}
     if pa.types.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
-        return Column(field.name, (), "typed", kind.tz or "", keys)
+        counts = values.cast(pa.timestamp("us", kind.tz), safe=False).cast(pa.int64())
+        cells = tuple(map(_text, counts.to_pylist()))
+        return Column(field.name, cells, "typed", kind.tz or "", keys)
     if not (log_cells.is_number(kind) or log_cells.is_text(kind) or pa.types.is_null(kind)):
         return None
     cells = tuple(map(_text, values.to_pylist()))

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import pyarrow as pa
 from pipeline.clock import latest_us, microseconds, utc
 from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.errors import LogError
 from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
 from pipeline.setup.names import is_in, words_of
 
@@ -47,6 +49,11 @@ _ONLY_DATE, _ONLY_CLOCK = re.compile(_DATE), re.compile(rf"(?=.*:){_CLOCK}{_ZONE
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?")
 _EARLIEST_COUNT_US = microseconds(dt.datetime(2001, 1, 1, tzinfo=dt.UTC))
 _MONTH_S = 20 * 86400.0
+_HALF_OF_DAY = re.compile(r"(?i)[ap]\.?\s?m\.?")
+_WHICH_TIME = (
+    "its columns of times differ: which is that of all readings? Where a channel has a time of its "
+    'own, have a row a reading written (layout = "long"), or a file a channel'
+)
 
 Cells = tuple[str, ...]
 Rows = Iterator[Cells]
@@ -109,6 +116,7 @@ class Table:
     rows: Callable[[Sequence[str]], Rows] = lambda _: iter(())  # cells of some columns, further on
     faults: Cells = ()  # what of it cannot be read, and why
     left_out: Cells = ()  # columns that cannot be read, and why
+    other_times: Cells = ()  # names of columns of times that are not the readings'
 
 
 # Cells
@@ -282,16 +290,29 @@ def count_format(numbers: Sequence[float]) -> str | None:
 # The time of a table
 
 
-def timed(table: Table) -> Table:
-    """The table with its time found, and without the columns of the time."""
-    named = sorted(table.columns, key=lambda column: not is_time_name(column.name))
+def timed(table: Table, path: Path, answer: str = "") -> Table:
+    """The table with its time found, and without the columns of times.
+
+    `answer` is the column of the time, if several may be. Raises LogError (``log_time``) if no
+    column alone says the time.
+    """
+    halves = [column.name for column in table.columns if _is_half_of_day(column)]
+    if halves:
+        how = f"column {halves[0]!r} has AM or PM alone: have it written behind the time, in a cell"
+        raise LogError("log_time", path, how)
+    named = sorted(table.columns, key=lambda col: (_is_arrival(col), not is_time_name(col.name)))
     of_kind = {kind: [column for column in named if column.kind == kind] for kind in TIMES}
-    times, formats = named[:1], TimeFormats({})
+    times, formats, questions = named[:1], TimeFormats({}), list(table.questions)
+    if whole := of_kind["typed"] or of_kind["stamp"]:
+        rivals = [column.name for column in whole if _differ(column, whole[0])]
+        if rivals:
+            choices = (whole[0].name, *rivals)
+            questions.append(Question("time", _WHICH_TIME, choices))
+        times = [column for column in whole if column.name == answer] or whole[:1]
     if of_kind["typed"]:
-        times = of_kind["typed"][:1]
         formats = TimeFormats({"": ""}, bool(times[0].unit))
-    elif of_kind["stamp"] or (of_kind["date"] and of_kind["clock"]):
-        times = of_kind["stamp"][:1] or [of_kind["clock"][0], of_kind["date"][0]]
+    elif whole or (of_kind["date"] and of_kind["clock"]):
+        times = times if whole else [of_kind["clock"][0], of_kind["date"][0]]
         formats = _formats(table, times[::-1])
     else:
         for column in named:
@@ -301,20 +322,35 @@ def timed(table: Table) -> Table:
             if column.kind == "number" and is_time and (form := count_format(known)):
                 times, formats = [column], TimeFormats({form: ""}, form in EPOCH_UNITS)
                 break
-    logs, questions, names = (
-        dict(table.logs),
-        list(table.questions),
-        [time_us.name for time_us in times],
-    )
+    logs, names = dict(table.logs), [column.name for column in times]
     logs |= dict(zip(("time", "date_column"), names, strict=False))
     set_formats(logs, questions, formats, next((c for own in times for c in own.filled), ""))
-    # The other columns of times, such as that of arrival, are no readings either.
-    rest = [
-        column for column in table.columns if column.name not in names and column.kind not in TIMES
-    ]
+    left = [column for column in table.columns if column.name not in names]
     return replace(
-        table, logs=logs, questions=tuple(questions), columns=tuple(rest), times=tuple(names)
+        table,
+        logs=logs,
+        questions=tuple(questions),
+        columns=tuple(column for column in left if column.kind not in TIMES),
+        times=tuple(names),
+        other_times=tuple(column.name for column in left if column.kind in TIMES),
     )
+
+
+def _is_half_of_day(column: Column) -> bool:
+    cells = column.filled
+    return bool(cells) and all(map(_HALF_OF_DAY.fullmatch, cells))
+
+
+def _is_arrival(column: Column) -> bool:
+    """True for the time at which something else than the sensor had a reading."""
+    return is_in(words_of(column.name), "column", "arrival")
+
+
+def _differ(column: Column, time: Column) -> bool:
+    """True for a column of times that may be that of the readings, as well as another."""
+    is_clock = not _is_arrival(column) and len(set(column.cells) - {""}) > 1
+    pairs = zip(column.cells, time.cells, strict=True)
+    return is_clock and any(cell != other for cell, other in pairs if cell and other)
 
 
 def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:

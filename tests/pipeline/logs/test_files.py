@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.clock import microseconds
 from pipeline.config import Channel, MotorSpec, Nights, load_fleet
 from pipeline.config.logs import Logs
 from pipeline.config.nights import DAY, night
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.logs.dates import with_known_nights
+from pipeline.logs.dates import dated_otherwise, with_known_nights
 from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
 from pipeline.logs.finding import FolderLogs, find_logs
 from pipeline.logs.processed import (
@@ -174,13 +175,22 @@ def test_what_was_left_out(spec: MotorSpec, tmp_path: Path) -> None:
     rows = ["200.0,50.0,30.0,1.0"] * 57 + ["x,50.0,30.0,1.0", "1,2,3", "y,50.0,30.0,1.0"]
     record = fully_read(write(tmp_path / "a.csv", every_minute(), rows), spec)
     assert record.rows == 59
-    assert "2 cells of pressure_difference without a number" in str(record.message)
+    assert "2 cells of pressure_difference without a number, such as 'x'" in str(record.message)
     assert "too few cells" in str(record.message)
     record = fully_read(write(tmp_path / "b.csv", every_minute(n=5), ["2,,30,1"] * 5), spec)
     assert (record.status, record.message) == ("ok", "all 5 cells of oil_temperature are blank")
     with pytest.raises(LogError, match="all 5 cells of leakage_flow are blank") as raised:
         fully_read(write(tmp_path / "c.csv", every_minute(n=5), [",,,"] * 5), spec)
     assert (raised.value.code, raised.value.place) == ("log_empty", "pressure_difference")
+
+
+@pytest.mark.parametrize(("days", "is_odd"), [(0, False), (5, False), (7305, True)])
+def test_names_may_all_be_days_beside_their_stamps_and_not_years(days: int, is_odd: bool) -> None:
+    records = {}
+    for at in range(3):
+        name, stamp_us = f"2026-01-0{at + 1}.csv", microseconds(EVENING + (at - days) * DAY)
+        records[name] = FileRecord(name, 1, 1, "x", first_us=stamp_us, last_us=stamp_us)
+    assert list(dated_otherwise(records)) == (list(records) if is_odd else [])
 
 
 # Samples of a night

@@ -19,6 +19,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.setup.propose import propose
 from pipeline.setup.sniff import sniff
+from pipeline.setup.tables import Cells
 from tests.dialects import Recorded
 from tests.pipeline.calling import refused
 from tests.pipeline.ingest.mcap_files import HEADER
@@ -100,6 +101,7 @@ def test_any_dialect_reads_back_what_was_written(tmp_path: Path, form: str) -> N
         ({"separator": "|", "time": "t"}, {"quoted": True, "bom": b"\xef\xbb\xbf"}),
         ({}, {"company": True, "reverse": True, "named": "word"}),
         ({"time_format": "%d.%m.%Y %H:%M:%S", "time": "Time  # UTC"}, {"header_every": 9}),
+        ({"unit_rows": 1}, {"line_end": "\r\r\n"}),
     ],
     ids=str,
 )
@@ -152,6 +154,60 @@ SAMPLE = b"2025-03-01 06:00:00,20.5,40.5,7.5,1.5\n"
 def test_the_line_of_names(tmp_path: Path, data: bytes, skipped: int, columns: int) -> None:
     table = sniff(log_in(tmp_path, data + (b"" if columns == 1 else 5 * SAMPLE)))
     assert (table.logs.get("skip_rows", 0), len(table.columns)) == (skipped, columns)
+
+
+BOTH = ("time", "read at")
+
+
+@pytest.mark.parametrize(
+    ("names", "others", "time", "choices"),
+    [
+        (("server time", "read at"), ("07:00:0{}", "06:00:0{}"), "read at", ()),
+        (BOTH, ("06:00:0{}", "06:00:0{}"), "time", ()),
+        (BOTH, ("06:00:0{}", "06:00:00"), "time", ()),
+        (BOTH, ("06:00:0{}", "05:59:0{}"), "time", BOTH),
+        (BOTH, ("06:00:0{}", ""), "time", ()),
+    ],
+    ids=["of arrival", "the same", "of a begin", "another", "blank"],
+)
+def test_of_several_columns_of_times_that_of_the_readings(
+    tmp_path: Path, names: Cells, others: Cells, time: str, choices: Cells
+) -> None:
+    first, second = (
+        [f"2025-03-01T{text.format(at)}Z" if text else "" for at in range(5)] for text in others
+    )
+    rows = "".join(f"{a},{b},20.5,40.5,7.5,1.5\n" for a, b in zip(first, second, strict=True))
+    channels = NAMED.decode().partition(",")[2]
+    path = log_in(tmp_path, f"{','.join(names)},{channels}{rows}".encode())
+    asked = question(path, "time")
+    assert (sniff(path).times, asked.choices if asked else ()) == ((time,), choices)
+    if choices:
+        (motor,) = propose(path, {"time": names[1]}).motors
+        assert motor.logs["time"] == names[1]
+
+
+@pytest.mark.parametrize("newest", [b"", NAMED, NAMED[:9]], ids=["empty", "names", "cut"])
+def test_a_newest_log_without_rows_is_of_the_kind_of_that_before(
+    tmp_path: Path, newest: bytes
+) -> None:
+    folder = log_in(tmp_path, NAMED + 5 * SAMPLE, "2025-03-01.csv").parent
+    log_in(tmp_path, newest, "2025-03-02.csv")
+    (motor,) = propose(folder, {"time_zone": "UTC"}).motors
+    assert motor.logs["files"] == ["*.csv"]
+
+
+def test_the_zone_is_asked_where_any_end_of_the_logs_names_none(tmp_path: Path) -> None:
+    with_zone = SAMPLE.replace(b"00,20", b"00Z,20")
+    for folder, samples in ("a", (SAMPLE, with_zone)), ("b", (with_zone, with_zone)):
+        for day, sample in enumerate(samples, 1):
+            log_in(tmp_path / folder, NAMED + 5 * sample, f"2025-03-0{day}.csv")
+        assert bool(question(tmp_path / folder, "time_zone")) == (folder == "a")
+
+
+def test_a_half_of_the_day_in_a_column_of_its_own_is_refused(tmp_path: Path) -> None:
+    rows = b"2025-03-01 06:00:00,p. m.,20.5,40.5,7.5,1.5\n" * 5
+    with refused("log_time", "'half' has AM or PM alone"):
+        sniff(log_in(tmp_path, NAMED.replace(b"time,", b"time,half,") + rows))
 
 
 def test_a_mark_that_may_be_either_is_asked_and_a_decimal_comma_between_commas_refused(
