@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, intraday, publishing, runs, starting, state
+from pipeline.cli import checking, publishing, runs, starting, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -36,7 +36,7 @@ app = typer.Typer(
 baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.", rich_markup_mode=None)
 # In the order in which the help lists them.
 app.command("fit-fleet")(runs.fit_fleet)
-app.command()(intraday.look)
+app.command()(checking.look)
 app.command()(starting.init)
 app.command()(checking.check)
 app.command()(publishing.explain)

@@ -1,9 +1,11 @@
-"""`motor-leakage check`: the config, the ends of the logs, or the published tables."""
+"""`check`: the config, the ends of the logs, or the published tables; `look`: the night so far."""
 
 from __future__ import annotations
 
+import datetime as dt
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,14 +17,17 @@ from pipeline.cli.arguments import (
     EXIT_OK,
     AsJson,
     ConfigFile,
+    Motors,
     Output,
+    duration,
     load,
     print_table,
     progress_bar,
+    say,
     tell,
 )
-from pipeline.cli.runs import tell_faults
-from pipeline.errors import UsageError
+from pipeline.cli.runs import stoppable, tell_faults
+from pipeline.errors import LockedError, StoreError, UsageError
 from pipeline.messages import counted, error_line
 
 # A rule that refused less than this is not worth its name in a table.
@@ -34,6 +39,7 @@ CHANNEL_COLUMNS = ("channel", "rate", "median", "missing", "refused", "refused b
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
+    from pipeline.intraday.check import MotorCheck as IntradayCheck
     from pipeline.setup.check import MotorCheck
     from pipeline.setup.samples import ChannelCheck
 
@@ -181,3 +187,87 @@ def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
         f"{100 * channel.share_refused:.3g} %",
         ", ".join(rules),
     )
+
+
+# The intraday check
+
+
+def look(
+    config: ConfigFile,
+    every: Annotated[
+        dt.timedelta | None,
+        typer.Option(parser=duration, help="Check again and again, so far apart, as 10min."),
+    ] = None,
+    output: Output = None,
+    motors: Motors = "",
+    as_json: AsJson = False,
+) -> None:
+    """Judge the night so far in growing logs, and notify of a sudden rise at once.
+
+    The nightly run continues beside it, and nothing of it is touched. With --every 10min it checks
+    until it is stopped.
+
+    Example: motor-leakage look configs/fleet.toml
+
+    Exit code 0: all motors were checked; 1: a motor could not be; 2: wrong usage or config;
+    3: another check is under way; 4: nothing could be published.
+    """
+    pause_s = every.total_seconds() if every else 0.0
+    with stoppable():
+        fleet = load(config, output, None)
+        wanted = fleet.known_motors(motors.split())
+        if fleet.log_url:
+            words = "logs in an object store cannot be checked within the day: use fit-fleet"
+            raise UsageError("look_logs", words)
+        due = time.monotonic()
+        while pause_s:
+            try:
+                _look(fleet, wanted, as_json=as_json)
+            except (StoreError, LockedError) as error:
+                say(f"{error.code}: {error}; the next check tries again", err=True)
+            due = max(due + pause_s, time.monotonic())
+            time.sleep(max(due - time.monotonic(), 0.0))
+        checks = _look(fleet, wanted, as_json=as_json)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(check.fault for check in checks) else EXIT_OK)
+
+
+def _look(fleet: Fleet, wanted: Sequence[str], *, as_json: bool) -> Sequence[IntradayCheck]:
+    """Check once, print changes of state and faults, and write the metrics."""
+    from pipeline.intraday.check import check_fleet
+    from pipeline.intraday.rows import NOT_JUDGED
+
+    checks = check_fleet(fleet, wanted)
+    for check in checks:
+        event = {"event": "look", **asdict(check), "rows": check.rows}
+        lines = [
+            f"{row['time']:%Y-%m-%d %H:%M} {check.motor_id}: {row['to_state']}: {row['reason']}"
+            for row in check.rows
+        ]
+        if check.fault:
+            say(f"{check.motor_id}: {check.fault}", err=True)
+        elif check.state == NOT_JUDGED:
+            lines = [f"{check.motor_id}: not judged: {check.reason}"]
+        tell(event, "\n".join(lines), as_json=as_json)
+    if not as_json:
+        states = Counter(check.state.replace("_", " ") for check in checks)
+        counts = ", ".join(f"{n} {state}" for state, n in sorted(states.items()))
+        say(f"{counted(len(checks), 'motor')} checked: {counts}")
+    _measure(fleet, checks)
+    return checks
+
+
+def _measure(fleet: Fleet, checks: Sequence[IntradayCheck]) -> None:
+    """Write the metrics; that they cannot be written costs nobody the check."""
+    if fleet.metrics_file is None:
+        return
+    from pipeline.run.notification import (
+        intraday_metrics_file,
+        intraday_metrics_text,
+        write_metrics,
+    )
+
+    text = intraday_metrics_text(fleet, checks)
+    try:
+        write_metrics(intraday_metrics_file(fleet.metrics_file), text)
+    except StoreError as error:
+        say(f"{error.code}: {error}; there are no metrics of this check", err=True)

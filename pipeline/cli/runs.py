@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 # Reasons of a plan that are listed.
 PLAN_REASONS = 8
-# Logs of a motor of which it is said what was left out.
+# Logs of a motor whose left-out rows are named.
 LEFT_OUT = 3
 
 

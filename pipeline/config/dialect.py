@@ -140,16 +140,6 @@ def field_path(field: str, topic: str = "") -> FieldPath:
     return tuple(path)
 
 
-def _field_text(text: str) -> str:
-    if text:
-        field_path(text)
-    return text
-
-
-FieldText = Annotated[str, AfterValidator(_field_text)]
-"""A path as it is written in a config; empty: none."""
-
-
 def path_text(path: FieldPath) -> str:
     """Return a path as it is written in a config."""
     written = [

@@ -1,4 +1,4 @@
-"""Steps that all readers share: readings are gathered in pieces, judged, converted and kept."""
+"""Steps that all readers share: readings are gathered in pieces, judged and converted."""
 
 from __future__ import annotations
 
@@ -311,7 +311,7 @@ class Samples:
 
 
 def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
-    """Log of what an installed reader found, by channel: converted, judged and counted.
+    """Log of what an installed reader has, by channel: converted, judged and counted.
 
     Raises LogError: ``log_time``: more than half of the time stamps lie in the future, before 1990
     or after 2200; ``log_reader``: a channel's quality is asked for, and there is none.

@@ -29,7 +29,7 @@ from pipeline.workers.process import still_alive
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
-# What is said of a published night whose logs are archived.
+# Note on a published night whose logs are archived.
 GONE = "its logs are gone"
 # Values of a stored row that are times, from their text.
 OF_TIME: Mapping[Any, Callable[[str], dt.date]] = {

@@ -54,7 +54,7 @@ class Meaning:
     """What a name says; `channel` is None where it means none, or contradicts its unit."""
 
     channel: str | None
-    unit: str | None  # as the config has it; None: not said
+    unit: str | None  # as the config has it; None: not stated
     merit: int = 0  # how well the name fits its channel; below 0 for a pressure that may be any
 
 
@@ -235,7 +235,7 @@ def likely_units(
 
 
 def missing_channels(channels: Collection[str]) -> list[str]:
-    """Channels that a motor has to have, besides those that were found."""
+    """Channels that a motor has to have, besides those that it has."""
     ports = [name for name in PORT_PRESSURES if name not in channels]
     if "pressure_difference" in channels:
         ports = []

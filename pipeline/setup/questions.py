@@ -252,7 +252,7 @@ class Chooser:
         return names[alike.index(answer)] if answer in alike else None
 
     def _size(self, name: str) -> float:
-        """Typical magnitude of a pressure, in bar where its unit is said."""
+        """Typical magnitude of a pressure, in bar where its unit is stated."""
         own = self.columns[name]
         sizes = [abs(number) for number in self._numbers(own)]
         unit = meaning_of(name, own.unit).unit

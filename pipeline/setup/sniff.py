@@ -25,7 +25,7 @@ from pipeline.ingest import cells as log_cells
 from pipeline.ingest.contract import readable
 from pipeline.ingest.csv import read_lines, unpacked, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
-from pipeline.ingest.mcap.topics import Topic, read_topics
+from pipeline.ingest.mcap.log import Topic, read_topics
 from pipeline.ingest.parquet import decoded, flat, kinds_of, opened, text_paths
 from pipeline.setup.names import VOCABULARY, is_in, unit_in, unit_named, words_of
 from pipeline.setup.signals import quality_words, whole_row_quality

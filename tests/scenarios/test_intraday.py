@@ -108,7 +108,7 @@ def test_checked_again_and_again_a_step_is_reported_when_it_comes(
             raise KeyboardInterrupt
         grow(fleet, minute)
 
-    monkeypatch.setattr("pipeline.cli.intraday.time.sleep", wait)
+    monkeypatch.setattr("pipeline.cli.checking.time.sleep", wait)
     done = fleet.run("look", "--every", "5min", "--output", fleet.output)
     assert done.code == 130
     states_said = [

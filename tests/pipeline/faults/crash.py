@@ -31,7 +31,7 @@ FAULTS: dict[Fault, tuple[int, int, int]] = {
 # What works import only where they need it; their own modules are imported as they come.
 LOADED = (
     *("pipeline.run.motor_task", "pipeline.run.fleet", "pipeline.run.publishing"),
-    *("pipeline.trends.stage", "pipeline.intraday.check", "pipeline.cli.intraday"),
+    *("pipeline.trends.stage", "pipeline.intraday.check", "pipeline.cli.checking"),
 )
 
 
