@@ -412,8 +412,8 @@ def is_contradicted(state: WatchState) -> bool:
 def probability_back(state: WatchState) -> float:
     """Return how probably a change has undone that before it; 0 where it has not.
 
-    What is left could not be detected: without this rule the rest of a repair is a warning on some
-    nights and none on others.
+    What is left could not be detected, and is little beside what was: without this rule the rest
+    of a repair is a warning on some nights and none on others.
     """
     in_force = state.in_force
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
@@ -421,7 +421,8 @@ def probability_back(state: WatchState) -> float:
     now, before = present(state), in_force.before.value
     if before * (now.value - before) >= 0.0 or abs(now.value) >= abs(before):
         return 0.0
-    limit = state.smallest or 0.0
+    little = 2.0 * choices.BACK_SPREAD * abs(before)
+    limit = min(state.smallest or 0.0, little)
     return now.probability_above(-limit) - now.probability_above(limit)
 
 

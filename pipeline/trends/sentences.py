@@ -56,6 +56,7 @@ ADVICE = {
     "odd_nights": "Compare duty, charge pressure and oil of these nights with the others.",
     "tank": "Check oil, temperature and charge pressure of the oil circuit.",
 }
+BY_SPEED = "speed_curve"
 CHECK_ZERO = "Check the sensor whose zero has moved."
 # Causes that are no part of the motor.
 OF_OIL_AND_SENSORS = {"all_flows", "oil_grade", "temperature_sensor", "temperature_effect", "zero"}
@@ -154,6 +155,9 @@ def _advice_on(night: NightState, change: Change) -> str:
         return FALL
     if change.cause == "all_gaps":
         return "Take an oil sample: all gaps at once are rare."
+    if change.cause in {path.name for path in night.spec.motor_type.path if path.law == BY_SPEED}:
+        # A speed of another scale looks like it.
+        return f"Compare the speed with a second reading; then plan an inspection of {parts}."
     return _inspect(parts, night.state) if parts else _to_identify(night, change)
 
 

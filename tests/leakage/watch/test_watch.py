@@ -30,7 +30,7 @@ from leakage.watch.attribution import attribute
 from leakage.watch.causes import TEMPERATURE_EFFECT
 from leakage.watch.evidence import Sums
 from leakage.watch.odd_nights import odd_nights_are_single
-from leakage.watch.state import nights_beyond
+from leakage.watch.state import nights_beyond, probability_back
 from leakage.watch.watch import with_night
 from tests.leakage.watch.made_machine import (
     CB560,
@@ -240,6 +240,14 @@ def test_what_a_repair_leaves_is_no_change_while_it_could_not_be_detected(
     causes = {None if change is None else change.cause for change in changes}
     assert (causes <= {None, BACK}) == is_back
     assert changes[0] is not None
+
+
+def test_what_is_half_of_a_change_is_not_back_however_little_is_detected() -> None:
+    """Few nights detect no 26 %: that is no sign that a flow 11 % above the first is back."""
+    watches = watched(late(0.3 * GAPS, 0.15 * GAPS, 50).nights(58, 1), first=FIRST)
+    blind = WatchSettings(false_alarms_per_year=1e-40, baseline_nights=FIRST)
+    states = [replace(watch.state, settings=blind) for watch in watches[54 - FIRST + 1 :]]
+    assert all(state.smallest > 0.15 and probability_back(state) < 0.5 for state in states)
 
 
 @pytest.mark.parametrize("apart", [(0.5, 2.4), (0.0, 3.9)])

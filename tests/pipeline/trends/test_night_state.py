@@ -227,7 +227,7 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
             f"fall, {cause}": watched(change(cause, is_rise=False, size=Estimate(-0.2, 0.01)))
             for cause in (SLEEVE, "all_gaps", "all_flows", "not_identified")
         },
-        **{f"rise, {cause}": watched(change(cause)) for cause in (*WHAT, SLEEVE)},
+        **{f"rise, {cause}": watched(change(cause)) for cause in (*WHAT, SLEEVE, "cam_roller")},
     }.items()
 } | {
     # What the circuit says is of ten nights at most from the onset.
