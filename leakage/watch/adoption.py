@@ -34,7 +34,6 @@ from leakage.watch.nights import (
     RAMPS,
     SEVERAL,
     Change,
-    Estimate,
     Machine,
     NightBlocks,
     WatchSettings,
@@ -49,6 +48,7 @@ from leakage.watch.state import (
     WatchState,
     all_causes,
     change_in_force,
+    event_settled,
     is_contradicted,
     mean_change,
     nights_beyond,
@@ -173,7 +173,7 @@ def in_force_of(
         # point, with evidence of its own, no effect of temperature explains it.
         level = since_before(state, attribution.start)
         if 0.5 * (level.value / level.sd) ** 2 >= state.settings.limit:
-            name, leakage = _open(name), level
+            name, leakage = name.opened(), level
     prior = _before(state, detected_on)
     is_rise = leakage.value > 0.0
     if circuit is not None and circuit.is_common:
@@ -224,13 +224,8 @@ def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> N
     before = state.in_force
     is_open = before is None or before.attribution is None or not before.change.candidates
     if is_open and state.evidence < state.settings.limit:
-        return _open(name)
+        return name.opened()
     return name
-
-
-def _open(name: Name) -> Name:
-    """Return a name of which nothing is known."""
-    return replace(name, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -393,14 +388,6 @@ def across_event(state: WatchState, machine: Machine, day: int, spread: float) -
     free = spread**2 * np.outer(flows, flows) + np.diag(sd**2)
     behind = _freed(state, len(state.window), free, None, day)
     return replace(behind, evidence=NOTHING, period_from=None, crossing=Crossing(spread, now))
-
-
-def event_settled(state: WatchState) -> WatchState:
-    """Return the state in which the step of an event is as its nights have shown it."""
-    step = state.event_step
-    ratio = (1.0 + state.carried.value) / (1.0 + step.value)
-    sd = math.hypot(state.carried.sd, ratio * step.sd) / (1.0 + step.value)
-    return replace(state, carried=Estimate(ratio - 1.0, sd), crossing=None)
 
 
 def _left_free(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -62,6 +62,10 @@ class Name:
     candidates: Mapping[str, float]
     likeliest: Cause
     alike: tuple[str, ...]
+
+    def opened(self) -> Name:
+        """Return a name of which nothing is known."""
+        return replace(self, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
 
 
 def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribution:

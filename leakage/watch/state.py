@@ -347,6 +347,14 @@ def present(state: WatchState) -> Estimate:
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
+def event_settled(state: WatchState) -> WatchState:
+    """Return the state in which the step of an event is as its nights have shown it."""
+    step = state.event_step
+    ratio = (1.0 + state.carried.value) / (1.0 + step.value)
+    sd = math.hypot(state.carried.sd, ratio * step.sd) / (1.0 + step.value)
+    return replace(state, carried=Estimate(ratio - 1.0, sd), crossing=None)
+
+
 def nights_beyond(state: WatchState) -> int:
     """Return how many newest nights are wholly beyond the detection limit, on the same side (7c.8).
 

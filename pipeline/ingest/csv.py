@@ -298,7 +298,7 @@ class _Ragged:
     is_header: Callable[[str], bool]
     count: int = 0
     first: str = ""  # its cells and begin, for a message
-    header: str = ""  # the first that is one
+    header: str = ""  # the first header
     swallowed: str = ""  # begin of the first that goes over several lines
 
     def leave_out(self, row: Any) -> str:

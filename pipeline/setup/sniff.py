@@ -53,7 +53,7 @@ from pipeline.setup.tables import (
 
 _HEAD_BYTES = 2**16
 _SCANNED_BYTES = 2**23
-_LINES_OF_NAMES = 2  # with one of units
+_LINES_OF_NAMES = 2  # the second of units
 _SEPARATORS = (";", "\t", "|", ",")
 Leaf = tuple[pa.Field, pa.Array]
 _ENCODINGS = ["cp1252", "cp1250", "cp1251", "cp1254", "gb18030", "shift_jis"]
