@@ -147,7 +147,10 @@ def _in_common(table: Table | LogError) -> object:
 def _without_copies(
     kinds: Sequence[Kind], table_of: Callable[[Path], Table | LogError], asked: Asked
 ) -> list[Kind]:
-    """The kinds without those of which the rows are another's; which is asked."""
+    """The kinds without those of which the rows are another's, and the name but for a word.
+
+    Which of both is a motor's is asked; a name of its own is a motor's own.
+    """
     first_with, copies = dict[int, str](), set[str]()
     for kind in kinds:
         table, pattern = table_of(kind.files[-1]), kind.patterns[0]
@@ -159,12 +162,18 @@ def _without_copies(
         other, n_alike = next(iter(owners.most_common(1)), (pattern, 0))
         # Of motors that stand still all cells may be alike.
         varies = len({row[len(table.times) :] for row in rows}) >= _FEWEST_COMPARED
-        if other != pattern and varies and 2 * n_alike > len(rows):
+        is_named_so = _words(other) < _words(pattern) or _words(pattern) < _words(other)
+        if is_named_so and varies and 2 * n_alike > len(rows):
             text = f"{other} and {pattern} have the same rows: which is a motor's?"
             choices = (other, pattern, "both")
             answer = asked.ask(f"motors of {pattern}", text, choices)
             copies |= {choice for choice in choices[:2] if answer in choices[:2]} - {str(answer)}
     return [kind for kind in kinds if kind.patterns[0] not in copies]
+
+
+def _words(pattern: str) -> set[str]:
+    """Return the words of a pattern of logs, such as a folder's or a motor's."""
+    return set(re.findall(r"[a-z]+\d*", pattern.rpartition(".")[0].lower()))
 
 
 def _why_no_log(folder: Path) -> str:

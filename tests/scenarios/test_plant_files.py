@@ -282,9 +282,7 @@ def test_logs_of_one_motor_are_one_motor_s(layout: str, plant: Plant) -> None:
 
 
 def test_logs_of_the_same_time_are_of_several_motors(plant: Plant) -> None:
-    asked = plant.init({f"Datalog{number}.csv": wide() for number in (1, 2, 3)})
-    assert (asked.code, asked.out.count("have the same rows")) == (1, 2)
-    assert plant.init({}, *(f"motors of Datalog{number}.csv=both" for number in (2, 3))).code == 0
+    assert plant.init({f"Datalog{number}.csv": wide() for number in (1, 2, 3)}).code == 0
     assert [spec.motor_id for spec in plant.motors] == ["Datalog1", "Datalog2", "Datalog3"]
 
 
@@ -538,7 +536,7 @@ def test_on_its_first_day_a_motor_has_no_fault(plant: Plant) -> None:
 
 def test_a_motor_without_a_log_is_a_fault(plant: Plant) -> None:
     logs = {f"{name}/{name}_2026-01-01.csv": wide() for name in ("A", "B")}
-    assert plant.init(logs, "B.motor_type=CB1120", "motors of B/B_*.csv=both").code == 0
+    assert plant.init(logs, "B.motor_type=CB1120").code == 0
     types = {spec.motor_id: spec.file.motor_type for spec in plant.motors}
     assert types == {"A": "CB400", "B": "CB1120"}
     (plant.folder / "logs" / "B" / "B_2026-01-01.csv").unlink()
@@ -556,8 +554,7 @@ def test_a_log_whose_name_contradicts_its_stamps_is_refused(plant: Plant) -> Non
         for motor in "VW"
         for night in (1, 2, 3, 4)
     }
-    answers = f"time_format={DAY_FIRST}", "motors of W/W_*.csv=both"
-    assert plant.init(files, *answers).code == 0
+    assert plant.init(files, f"time_format={DAY_FIRST}").code == 0
     ended = plant.run("check")
     assert ended.code == 1
     assert "W: log_misdated" in ended.err
