@@ -65,6 +65,8 @@ def test_a_run_with_too_little_room_touches_nothing(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fleet = own_fleet(PARQUET, nights=1)
+    # The tests of faults take any disk, in the same process.
+    monkeypatch.setattr("pipeline.run.fleet.MINIMUM_FREE_MIB", 100)
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
     with pytest.raises(StoreError, match="100 MiB free, and a run needs 100;") as caught:
         run(fleet)
