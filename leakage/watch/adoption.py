@@ -60,7 +60,7 @@ from leakage.watch.state import (
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 
-def test_for_change(state: WatchState) -> WatchState:
+def detect_change(state: WatchState) -> WatchState:
     """Return the state with the newest night's evidence, and a change where it is enough."""
     if state.first_step > state.day:
         return replace(state, evidence=NOTHING)
@@ -125,7 +125,7 @@ def _reversal(state: WatchState) -> WatchState | None:
 
     A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
     """
-    behind = test_for_change(_taken_for_granted(state))
+    behind = detect_change(_taken_for_granted(state))
     before, now = state.in_force, behind.in_force
     assert before is not None
     assert now is not None

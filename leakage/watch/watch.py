@@ -24,11 +24,11 @@ from leakage.watch.adoption import (
     adopted,
     at_rest,
     begin,
+    detect_change,
     in_force_of,
     new_period,
     settling,
     shortened,
-    test_for_change,
     with_new_wander,
 )
 from leakage.watch.causes import ODD_NIGHTS
@@ -81,7 +81,7 @@ class Watch:
                 return Watch(shortened(state))
         if state.crossing is not None and len(state.window) > choices.PERIOD_NIGHTS:
             state = event_settled(state)
-        state = test_for_change(with_new_wander(state))
+        state = detect_change(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
         return Watch(shortened(at_rest(state)))

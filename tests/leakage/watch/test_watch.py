@@ -260,7 +260,7 @@ def test_an_odd_night_at_other_conditions_never_warns(apart: tuple[float, float]
     window = replace(state.window, distance=distance)
     sums = Sums.of(window, state.wander, state.causes.basis)
     state = replace(state, window=window, sums=sums)
-    assert adoption.test_for_change(state).evidence < state.settings.limit
+    assert adoption.detect_change(state).evidence < state.settings.limit
 
 
 def test_odd_nights_again_and_again() -> None:
