@@ -202,7 +202,10 @@ class Course:
         return self.spec.settings.reference.conditions(charge)
 
     def first_leakage(self, place: int) -> float | str:
-        """Return the baseline's leakage at the motor's own conditions, by the oil of a night."""
+        """Return the baseline's leakage [l/min] at the motor's own conditions, by a night's oil.
+
+        A text says why there is none.
+        """
         assert self.watch is not None
         assert self.baseline is not None
         own, first = self.baseline.own, self.nights.place_from(self.baseline.end)
@@ -212,7 +215,8 @@ class Course:
         after, before = (
             self.watch.frozen_leakage_at(drives, _measured(own)) for drives in (now, then)
         )
-        return self.baseline.own_leakage * after / before
+        # Where all of the flow is flushing, there is nothing that another oil changes.
+        return self.baseline.own_leakage * (after / before if before else 1.0)
 
     def _own_leakage(self, verdict: Verdict, place: int) -> Estimate | str:
         """Return leakage now at the motor's own conditions: the baseline's and its change (7c.3).

@@ -5,10 +5,14 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import polars as pl
 import pytest
 
+from pipeline.config.settings import Conditions
 from pipeline.schema import NIGHTS, TRENDS
 from pipeline.store.state import open_state
 from pipeline.trends.comparing import compare_nights
@@ -124,6 +128,18 @@ def test_a_stated_change_of_oil_is_no_way_to_a_limit(tmp_path: Path) -> None:
     at_c = nights["own_temperature_c"][54]
     vg_68, vg_46 = (kinematic_viscosity(oil, at_c) for oil in (VG_68, VG_46))
     assert after / before == pytest.approx(vg_68 / vg_46, rel=0.03)
+
+
+def test_a_motor_whose_flow_is_all_flushing_has_no_leakage_by_any_oil() -> None:
+    watch = SimpleNamespace(frozen_leakage_at=lambda *_: 0.0)
+    baseline = SimpleNamespace(own=Conditions(100.0, 50.0, 30.0), end=night_of(7), own_leakage=0.0)
+    course: Any = SimpleNamespace(
+        watch=watch,
+        baseline=baseline,
+        nights=SimpleNamespace(place_from=lambda _: 7),
+        drives_at=lambda *_: np.zeros(1),
+    )
+    assert Course.first_leakage(course, 20) == 0.0
 
 
 # Which nights
