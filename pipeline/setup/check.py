@@ -61,6 +61,7 @@ from pipeline.setup.propose import LARGEST_LOG_BYTES
 from pipeline.setup.samples import (
     ChannelCheck,
     channel_checks,
+    misplaced,
     mostly_refused,
     operation,
     repeated_extremes,
@@ -167,7 +168,7 @@ def check_motor(
     read = {name: logs.files[name] for name in broken}
     lost = {key: words for look in reversed(looks) for key, words in look.lost.items()}
     faults = [*_file_faults(source, records), *_messages(read, "failed")]
-    faults += [*(f"cells_unread: {words}" for words in lost.values()), *unfit]
+    faults += [*lost.values(), *unfit]
     if not faults:
         # Of a plant's first day there is nothing to mend.
         unfitted = notes if _is_first_night(spec, records) else faults
@@ -254,7 +255,7 @@ class _NightLook:
     extremes: Mapping[str, str] = field(default_factory=dict)  # as `repeated_extremes`
     is_changed: bool = False  # whether it is refused for columns or units other than before
     cold: tuple[str, ...] = ()  # what its errors say of cold starts
-    lost: Mapping[str, str] = field(default_factory=dict)  # of its logs, as `unread`
+    lost: Mapping[str, str] = field(default_factory=dict)  # as `unread` and `misplaced`
 
 
 def _every_look(
@@ -317,11 +318,11 @@ def _look_at_night(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> _NightLo
     if not channels:
         return _NightLook(label, NO_NEW_DATA, NO_LOG)
     lost = {
-        key: f"{name}: {words}"
+        key: f"cells_unread: {name}: {words}"
         for name in logs.of_night(label)
         if (log := logs.content(name)) is not None
         for key, words in unread(log).items()
-    }
+    } | misplaced(channels)
     extremes, fitted = repeated_extremes(spec, channels), list[Samples]()
     outcome = fit_night(spec, night(label, spec.settings.nights), channels, fitted.append)
     logs.let_go_until(label - DAY)
@@ -452,7 +453,7 @@ def _look_into(
     notes += temperature_jumps(log.channels["oil_temperature"])
     notes += unused_qualities(logs.path(newest), header(newest), spec.file)
     # What is refused mostly follows from the rest.
-    return checks, faults or [*mostly_refused(checks, log.channels["speed"].time_us)], notes
+    return checks, faults or [*mostly_refused(checks)], notes
 
 
 def _changed_nights(

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from leakage.watch.choices import BASELINE_NIGHTS
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
@@ -21,16 +20,11 @@ from pipeline.config.channels import COUNTED, TOTAL
 from pipeline.ingest import RawChannel, RawLog
 from pipeline.ingest.cells import may_be_number
 from pipeline.messages import counted
-from pipeline.night.cleaning import (
-    STANDSTILL_RPM,
-    ChannelRules,
-    CleanChannel,
-    Rests,
-    clean_channel,
-)
+from pipeline.night.cleaning import ChannelRules, CleanChannel, Rests, clean_channel
 from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
 from pipeline.night.masks import near
-from pipeline.night.time_base import GUARD_AFTER_US, GUARD_BEFORE_US, Samples
+from pipeline.night.time_base import Samples
+from pipeline.night.time_order import order_of
 from pipeline.units import FALLBACK_VALID_RANGE
 
 # Samples of the head of a log that are looked at, and fewest that tell anything.
@@ -55,15 +49,19 @@ JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
 # Nor does it change by so much in so large a share of its samples.
 RESTLESS_C, RESTLESS_SHARE = 2.0, 0.02
 # A rule that refuses more of a channel's samples than this has no log of single faults before it.
-MOST_REFUSED = 0.5
+MOST_REFUSED = {"out_of_range": 0.1, "bad_quality": 0.5, "not_finite": 0.5}
+MOST_MISPLACED = 0.1
 # What cannot be read is rarely lost at random: it is the largest readings, a direction, the hours
 # after a change of the logger.
 MOST_UNREAD = 0.01
 HOW_TO_MEND = {
-    "duplicate_time": "do its stamps lack seconds, or fractions of them, or are they of another "
-    "column than logs.time should have? Correct logs.time_format, or logs.time",
-    "backward_time": "is its time written in another form, or zone? Correct logs.time_format",
-    "out_of_range": "is its unit, or valid_range, another?",
+    "duplicate_time": "do its stamps lack seconds, or fractions of them, are they of another "
+    "column than logs.time should have, or are its rows of several motors? Correct "
+    "logs.time_format, logs.time or logs.motor_column",
+    "backward_time": "is its time written in another form, or zone, or do several logs cover it? "
+    "Correct logs.time_format, or have a log a night written in order",
+    "out_of_range": "is its unit, or valid_range, another, or a negative number written as one "
+    "without a sign?",
     "bad_quality": "are other codes good? Correct quality_good",
     "not_finite": "correct the column, or logs.missing_tokens",
 }
@@ -111,12 +109,13 @@ class ChannelCheck:
 
 def channel_checks(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> tuple[ChannelCheck, ...]:
     """Return the configured channels of a log."""
+    cleaning, logs = spec.settings.cleaning, spec.file.logs
     rules = {
-        name: ChannelRules.of(name, channel, spec.file.logs)
+        name: ChannelRules.of(name, channel, cleaning, logs)
         for name, channel in spec.file.channels.items()
     }
     speed = clean_channel(channels["speed"], rules["speed"])
-    rests = Rests.of(speed)
+    rests = Rests.of(speed, cleaning.standstill_rpm)
     return tuple(
         _channel_check(name, channel.unit, clean_channel(channels[name], rules[name], rests=rests))
         for name, channel in spec.file.channels.items()
@@ -142,17 +141,42 @@ def _channel_check(name: str, unit: str, clean: CleanChannel) -> ChannelCheck:
     )
 
 
-def mostly_refused(channels: Sequence[ChannelCheck], time_us: Times) -> Iterator[str]:
-    """Yield faults of channels of which a rule refuses most samples."""
-    for reason, how in HOW_TO_MEND.items():
+def mostly_refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
+    """Yield faults of channels of which a rule refuses many samples."""
+    for reason, limit in MOST_REFUSED.items():
         shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
-        if most := [name for name, share in shares.items() if share > MOST_REFUSED]:
-            share = 100 * max(shares.values())
-            if reason == "backward_time" and np.mean(np.diff(time_us) < 0) > MOST_REFUSED:
-                how = "its rows are newest first: have them written oldest first"
-            if reason.endswith("_time"):
-                how += f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
-            yield f"samples_refused: {share:.0f} % of {', '.join(most)} as {reason}: {how}"
+        if most := [name for name, share in shares.items() if share > limit]:
+            yield _refused(max(shares.values()), most, reason)
+
+
+def misplaced(channels: Mapping[str, RawChannel]) -> dict[str, str]:
+    """Return faults of a night many of whose stamps go back, or are another reading's, too."""
+    shares: dict[str, dict[str, float]] = {"duplicate_time": {}, "backward_time": {}}
+    for name, raw in channels.items():
+        rows = np.flatnonzero(~raw.missing)
+        time_us, value = raw.time_us[rows], raw.value[rows]
+        order, n = order_of(time_us), max(len(rows), 1)
+        if len(order.repeated):
+            first = np.arange(n)[order.rows][
+                np.searchsorted(order.time_us, time_us[order.repeated])
+            ]
+            differs = value[first] != value[order.repeated]
+            shares["duplicate_time"][name] = np.count_nonzero(differs) / n
+        shares["backward_time"][name] = len(order.backward) / n
+    time_us = channels["speed"].time_us
+    faults = dict[str, str]()
+    for reason, by_name in shares.items():
+        if most := [name for name, share in by_name.items() if share > MOST_MISPLACED]:
+            is_turned = reason == "backward_time" and np.mean(np.diff(time_us) < 0) > 0.5
+            how = "its rows are newest first: have them written oldest first" if is_turned else ""
+            read = f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"
+            faults[reason] = _refused(max(by_name.values()), most, reason, how) + read
+    return faults
+
+
+def _refused(share: float, names: Sequence[str], reason: str, how: str = "") -> str:
+    how = how or HOW_TO_MEND[reason]
+    return f"samples_refused: {100 * share:.0f} % of {', '.join(names)} as {reason}: {how}"
 
 
 # Sampling
@@ -265,7 +289,7 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> di
         if channel.constant is not None or channel.is_counted:
             continue
         # A halt drives oil backwards through the meter, which then reads its maximum.
-        at_work = ~_near_halts(channels["speed"], channels[name].time_us)
+        at_work = ~_near_halts(spec, channels["speed"], channels[name].time_us)
         value = _credible(name, channel, channels[name].value[at_work])
         for extreme, nearest in _sentinels(value):
             low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
@@ -278,9 +302,11 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> di
     return extremes
 
 
-def _near_halts(speed: RawChannel, time_us: Times) -> Mask:
-    halts = np.sort(speed.time_us[np.abs(speed.value) < STANDSTILL_RPM])
-    return near(halts, time_us, GUARD_BEFORE_US, GUARD_AFTER_US)
+def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
+    cleaning = spec.settings.cleaning
+    halts = np.sort(speed.time_us[np.abs(speed.value) < cleaning.standstill_rpm])
+    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
+    return near(halts, time_us, before, after)
 
 
 def _credible(name: str, channel: Channel, value: Array) -> Array:
@@ -330,4 +356,4 @@ def operation(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
     needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.blocks().training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
-    return f"{ran}; first verdict on a change after {BASELINE_NIGHTS} nights"
+    return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"
