@@ -38,7 +38,8 @@ _USUAL_LOW_SIDE = (0.1, 100.0)
 _BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
 # A share, or a factor: "0.1", "10^-1", and behind another word "x10".
 _FACTOR = re.compile(
-    r"%|(?<![^\W_])(?:0[.,]\d+|10\^|1[eE]-\d)|(?<=[\s_)\]])[x×*/] ?(?:0[.,]\d+|10+)(?![^\W_])"
+    r"%|(?<![^\W_])(?:0[.,]\d+|10\^|1[eE]-\d)"
+    r"|(?<=[\s_)\]])(?:[x×*/] ?|div)(?:0[.,]\d+|10+)(?![^\W_])"
 )
 _IMPERIAL = re.compile(r"(?i)(?<![^\W_])(?:imp|imperial|uk)(?![^\W_])")
 _LABEL = re.compile(r"[{,]\s*\w+=\"([^\"]*)\"}?")
@@ -150,8 +151,8 @@ def _unit_text(name: str) -> str:
     return next((text for text in (*bracketed, *behind, *others) if unit_named(text)), "")
 
 
-def _without_unit(name: str) -> str:
-    """A name without the words of its unit, which are no others: "min" is then no minimum."""
+def without_unit(name: str) -> str:
+    """Return a name without the words of its unit, of which "min" would be a minimum."""
     words = map(re.escape, _unit_text(name).split("/"))
     return re.sub(r"[\s_/]+(?:per[\s_]+)?".join(words) + r"(?![^\W_])", " ", name)
 
@@ -159,7 +160,7 @@ def _without_unit(name: str) -> str:
 @lru_cache(2**16)
 def meaning_of(name: str, unit: str = "") -> Meaning:
     """Meaning of a name, with what stands beside it as a unit."""
-    words = words_of(_without_unit(name))
+    words = words_of(without_unit(name))
     quantities = list(_quantities(words, name))
     known_unit = unit_named(unit) or unit_named(_unit_text(name))
     is_of_oil = not quantities and is_in(words, "preferred", "oil_temperature")

@@ -13,7 +13,7 @@ from functools import cache
 from itertools import islice
 
 from pipeline.config.logs import MISSING_TOKENS
-from pipeline.setup.names import FEWEST_CHANNELS, is_in, meaning_of, words_of
+from pipeline.setup.names import FEWEST_CHANNELS, is_in, meaning_of, without_unit, words_of
 from pipeline.setup.tables import SAMPLES, Cells, Column, Quality, Table, is_number
 
 # OPC DA's: without a remark, at a limit, forced by hand, and forced at a limit.
@@ -164,9 +164,11 @@ def motors_of_rows(column: Column, table: Table, tag: str | None) -> Cells:
 def quality_words(name: str) -> Cells:
     """Return the words at the end or begin of a name that are of a quality; empty for none."""
     words = _words(name)
-    if words[-1:] == ("code",) and _is_quality(words[-2:-1]):
+    is_code = words[-1:] == ("code",) and _is_quality(words[-2:-1])
+    if is_code or words[-2:] == ("percent", "good"):
         return words[-2:]
-    if _is_quality(words[-1:]) or (words[-1:] == ("q",) and len(words) > 1):
+    is_beside = len(words) > 1 and (words[-1] == "q" or is_in(words[-1:], "quality", "fault"))
+    if is_beside or _is_quality(words[-1:]) or is_in(words[-1:], "quality", "doubt"):
         return words[-1:]
     return words[:1] if _is_quality(words[:1]) else ()
 
@@ -193,13 +195,17 @@ def good_codes(words: Sequence[str], cells: Iterable[str]) -> tuple[str | int, .
     """
     seen = tuple(dict.fromkeys(cells))
     numbers = {float(cell.replace(",", ".")) for cell in seen if is_number(cell)}
+    is_doubt = is_in(words, "quality", "doubt")
     if not numbers:
+        if is_doubt:
+            return tuple(cell for cell in seen if cell.casefold() == "false") or None
         return tuple(cell for cell in seen if is_in(_words(cell)[:1], "quality", "good")) or None
     is_code = tuple(words[-2:]) == ("status", "code") or is_in(words, "quality", "code")
     rules = (
         (OPC_DA_GOOD[0] <= max(numbers) < OPC_DA_CODES, OPC_DA_GOOD),
         (max(numbers) >= OPC_UA_UNCERTAIN or (is_code and numbers == {0.0}), (0,)),
         (is_in(words, "quality", "validity") and numbers <= {0.0, 1.0, 2.0}, (1,)),
+        (is_doubt and numbers <= {0.0, 1.0}, (0,)),
     )
     return next((codes for holds, codes in rules if holds), None)
 
@@ -212,7 +218,9 @@ def with_qualities(columns: Sequence[Column]) -> tuple[Column, ...]:
     readings = [column for column in columns if column.name not in marks]
     with_quality, used = list[Column](), set[str]()
     for reading in readings:
-        mark = beside.get(_without_value(reading.name)) or beside.get(_words(reading.name))
+        name, plain = reading.name, without_unit(reading.name)
+        bases = (_without_value(name), _words(name), _without_value(plain), _words(plain))
+        mark = next((beside[base] for base in bases if base in beside), None)
         own = whole if mark is None else _quality(mark)
         used |= {mark.name} if mark else set()
         with_quality.append(replace(reading, quality=own))
@@ -239,7 +247,9 @@ def _quality(column: Column) -> Quality:
 
 
 def _is_whole(column: Column) -> bool:
-    return bool(quality_words(column.name)) and not _base(column.name)
+    base = _base(column.name)
+    is_of_row = all(is_in([word], "quality", "row") for word in base)
+    return bool(quality_words(column.name)) and is_of_row
 
 
 def _base(name: str) -> Cells:

@@ -344,14 +344,15 @@ def _unit_of(field: pa.Field) -> str:
 
 
 def _column(field: pa.Field, values: pa.Array) -> Column | None:
-    """A column of times, numbers or text; None for what is neither."""
+    """A column of times, numbers, text or truth values; None for what is none of them."""
     kind, keys = values.type, {"source": field.name}
     if pa.types.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
         counts = values.cast(pa.timestamp("us", kind.tz), safe=False).cast(pa.int64())
         cells = tuple(map(_text, counts.to_pylist()))
         return Column(field.name, cells, "typed", kind.tz or "", keys)
-    if not (log_cells.is_number(kind) or log_cells.is_text(kind) or pa.types.is_null(kind)):
+    is_bare = pa.types.is_null(kind) or pa.types.is_boolean(kind)
+    if not (log_cells.is_number(kind) or log_cells.is_text(kind) or is_bare):
         return None
     cells = tuple(map(_text, values.to_pylist()))
     return Column(field.name, cells, kind_of(cells), _unit_of(field), keys)

@@ -307,17 +307,23 @@ def test_parquet_with_times_in_text_and_units_in_the_metadata(
     require_it_reads(log_in(tmp_path, sink.getvalue().to_pybytes(), "log.parquet"), log)
 
 
-def test_a_scale_in_the_metadata_is_asked_for(tmp_path: Path) -> None:
+def test_a_scale_in_the_metadata_is_asked_for_and_truth_values_are_a_quality(
+    tmp_path: Path,
+) -> None:
     stated = {"unit": "l/min", "scale": "0.01"}
     fields = [pa.field(name, pa.float64()) for name in ("dp_bar", "T_degC", "n_rpm")]
     fields = [pa.field("t", pa.timestamp("us")), *fields, pa.field("q", pa.int64(), True, stated)]
+    fields.append(pa.field("valid", pa.bool_()))
     columns = [
-        pa.array(values, field.type) for values, field in zip([[1, 2]] * 5, fields, strict=True)
+        pa.array(values, field.type)
+        for values, field in zip([*[[1, 2]] * 5, [True, False]], fields, strict=True)
     ]
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(columns, schema=pa.schema(fields)), sink)
     path = log_in(tmp_path, sink.getvalue().to_pybytes(), "log.parquet")
     assert "'0.01 l/min'" in question(path, "unit of q").text
+    (motor,) = propose(path, {}).motors
+    assert motor.channels["speed"].keys["quality_source"] == "valid"
 
 
 # MCAP
