@@ -34,12 +34,13 @@ def questions() -> dict[int, tuple[str, tuple[str, ...]]]:
     }
 
 
-def views() -> duckdb.DuckDBPyConnection:
-    """The tables in `out/tables` of the folder in which we are."""
-    connection = duckdb.connect(config={"threads": 1})
-    connection.execute("SET file_search_path = 'out'")
-    connection.execute(Path("out/views.sql").read_text("utf-8"))
-    return connection
+def answer(query: str) -> pl.DataFrame:
+    """Answer a query on the tables in `out/tables` of the folder in which we are."""
+    with duckdb.connect(config={"threads": 1}) as connection:
+        connection.execute("SET file_search_path = 'out'")
+        connection.execute(Path("out/views.sql").read_text("utf-8"))
+        rows: pl.DataFrame = connection.sql(query).pl()
+        return rows
 
 
 def _shown(rows: pl.DataFrame) -> str:
@@ -60,11 +61,10 @@ def _cell(value: object) -> str:
 def main(folder: Path) -> None:
     """Write the answers into the page."""
     text = PAGE.read_text("utf-8")
-    with contextlib.chdir(folder), views() as tables:
+    with contextlib.chdir(folder):
         for found in QUESTION.finditer(text):
             whole, shown = found[0], found[3]
-            answer = _shown(tables.sql(found[2]).pl())
-            text = text.replace(whole, whole.removesuffix(shown) + answer)
+            text = text.replace(whole, whole.removesuffix(shown) + _shown(answer(found[2])))
     PAGE.write_text(text.rstrip() + "\n", "utf-8")
 
 

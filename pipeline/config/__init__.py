@@ -18,6 +18,7 @@ from pipeline.config.settings import (
     SensorHealth,
     Settings,
     Smoothing,
+    TimeBase,
     TransportDelay,
     Windows,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "SensorHealth",
     "Settings",
     "Smoothing",
+    "TimeBase",
     "TransportDelay",
     "Windows",
     "absolute",

@@ -34,7 +34,7 @@ from pipeline.setup.signals import (
     unread_columns,
 )
 from pipeline.setup.sniff import sniff
-from pipeline.setup.tables import Column, Question, Table, is_number
+from pipeline.setup.tables import Cells, Column, Question, Table, is_number
 
 LARGEST_LOG_BYTES = 200 << 20  # of a log that is read to look into it
 _SHOWN, _NAMES_COMPARED = 12, 12
@@ -281,7 +281,11 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     rows: list[tuple[str, dict[str, Any]]] = [(kind.name, {})]
     if several:
         names = several.get(column or "", ())
-        rows = [(name, {"motor_column": column, "motor_name": name}) for name in names]
+        readings = _of_readings(names)
+        rows = [
+            (name if readings == names else kind.name, {"motor_column": column, "motor_name": name})
+            for name in readings
+        ]
     signals = replace(signals, left_out=unread_columns(table))
     motors = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
     if motors:
@@ -290,6 +294,15 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
     dialect = asked.keys_of(signals) if motors or several else {}
     files = {"files": list(kind.patterns)}
     return [replace(motor, logs={**dialect, **files, **motor.logs}) for motor in motors]
+
+
+def _of_readings(names: Cells) -> Cells:
+    """Return of names of statistics, such as "avg" and "max", that of readings; others as given."""
+    words = {name: words_of(name) for name in names}
+    if not all(own == ("raw",) or is_in(own, "column", "statistic") for own in words.values()):
+        return names
+    means = [name for name in names if not is_in(words[name], "other", "none")]
+    return tuple(sorted(means, key=lambda name: words[name] != ("raw",)))[:1]
 
 
 # The channels of a motor

@@ -50,6 +50,9 @@ _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?(Z|[+-]\d\
 _EARLIEST_COUNT_US = microseconds(dt.datetime(2001, 1, 1, tzinfo=dt.UTC))
 _MONTH_S = 20 * 86400.0
 _HALF_OF_DAY = re.compile(r"(?i)[ap]\.?\s?m\.?")
+_ZONE_IN_NAME = re.compile(
+    r"(?i)(?<![^\W_])(?:utc|gmt)(?: ?([+-]) ?(\d\d?)(?::?00)?)?(?! ?[+-] ?\d|[^\W_]|:)"
+)
 _WHICH_TIME = (
     "its columns of times differ: which is that of all readings? Where a channel has a time of its "
     'own, have a row a reading written (layout = "long"), or a file a channel'
@@ -324,7 +327,8 @@ def timed(table: Table, path: Path, answer: str = "") -> Table:
                 break
     logs, names = dict(table.logs), [column.name for column in times]
     logs |= dict(zip(("time", "date_column"), names, strict=False))
-    set_formats(logs, questions, formats, next((c for own in times for c in own.filled), ""))
+    example = next((cell for own in times for cell in own.filled), "")
+    set_formats(logs, questions, formats, example, zone_in(" ".join(names)))
     left = [column for column in table.columns if column.name not in names]
     return replace(
         table,
@@ -366,10 +370,30 @@ def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
     return time_formats([*stamps, *more])
 
 
+def zone_in(name: str) -> str:
+    """Return the zone that the name of a column of times states, or an empty text.
+
+    Examples
+    --------
+    >>> [zone_in(name) for name in ("Time (UTC)", "Date Time, GMT+01:00", "GMT+05:30", "Zeit")]
+    ['UTC', 'Etc/GMT-1', '', '']
+    """
+    stated = _ZONE_IN_NAME.search(name)
+    if stated is None or int(stated[2] or 0) > 12:
+        return ""
+    sign, hours = stated[1], int(stated[2] or 0)
+    # Names of POSIX count hours to the west.
+    return f"Etc/GMT{'-' if sign == '+' else '+'}{hours}" if hours else "UTC"
+
+
 def set_formats(
-    logs: dict[str, Any], questions: list[Question], formats: TimeFormats, example: str = ""
+    logs: dict[str, Any],
+    questions: list[Question],
+    formats: TimeFormats,
+    example: str = "",
+    zone: str = "",
 ) -> None:
-    """Keys and questions of the time's format and zone."""
+    """Keys and questions of the time's format, and of its zone if the log states none."""
     readings = formats.readings
     if not readings:
         text = f"how are its time stamps written ({example!r})? Day, hour and minute are needed"
@@ -380,5 +404,6 @@ def set_formats(
         days = ", or ".join(f"{reading} by {form}" for form, reading in readings.items())
         questions.append(Question("time_format", f"does it begin on {days}?", tuple(readings)))
     if not formats.has_zone:
-        logs["time_zone"] = "UTC"
+        logs["time_zone"] = zone or "UTC"
+    if not (formats.has_zone or zone):
         questions.append(Question("time_zone", "the stamps name no zone, such as Europe/Oslo"))

@@ -24,6 +24,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     "spans",
     [
         pytest.param([(0, 1), (1, 1439), (1439, 1440)], id="single-rows"),
+        pytest.param([(60 * n, 60 * n + 60) for n in range(24)], id="24-files"),
         pytest.param([(0, 800), (700, 1440)], id="shared-rows"),
     ],
 )

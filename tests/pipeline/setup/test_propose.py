@@ -211,6 +211,23 @@ CASES: Mapping[str, Case] = {
     "what is not asked can be put right": Case(
         {"a.csv": text(FOUR, CELLS)}, {"a": {N: "leak [l/min]|"}}, {}, {"a.speed": "leak [l/min]"}
     ),
+    "gauges of other machines, and setpoints, are no motor's": Case(
+        {
+            "a.csv": text(
+                f"{FOUR},filter_dp_bar,gearbox_oil_temp_degC,motor_speed_set_rpm",
+                f"{CELLS},0.5,65.5,30",
+            )
+        },
+        {"a": {DP: "dp [bar]|bar", T: "T [°C]|degC", N: "n [rpm]|rpm"}},
+    ),
+    "of statistics in rows the means are read": Case(
+        {"a.csv": several(f"statistic,{FOUR}", *(f"{of},{CELLS}" for of in ("avg", "max", "min")))},
+        {"a": {"motor_column": "statistic", "motor_name": "avg"}},
+    ),
+    "a zone in the name of the time": Case(
+        {"a.csv": text(FOUR, CELLS).replace("time", "Time (GMT+1)", 1).replace("Z,", ",")},
+        {"a": {"time_zone": "Etc/GMT-1"}},
+    ),
     "names tell day from month": Case(
         {
             f"w_2026-01-0{day}.csv": text(FOUR, CELLS)
@@ -299,6 +316,9 @@ def test_an_answer_that_cannot_be(answer: str, tmp_path: Path) -> None:
         ("W.{}", "W.{}.Validity", "1", "0"),
         ("W.{}", "W.{}.Q", "192", "0"),
         ("{}", "Quality_{}", "GOOD", "Uncertain"),
+        ("{}", "{place}_quality", "192", "0"),
+        ("{}", "{place}_Questionable", "False", "True"),
+        ("{}", "Simulated", "0", "1"),
         ("{}", "Quality", "Good", "Bad"),
         ("long", "Quality", "Good", "Bad"),
         ("long", "Validity", "1", "0"),
@@ -315,7 +335,9 @@ def test_a_quality_in_any_usual_form_is_used(
         rows = (f"{name},{cell},{code}" for name, cell in pairs for code in (good, bad))
         log = several(f"tag,value,{quality}", *rows)
     else:
-        own = {value.format(name): quality.format(name) for name in names}
+        own = {
+            value.format(name): quality.format(name, place=name.partition("_")[0]) for name in names
+        }
         columns = list(dict.fromkeys(name for pair in own.items() for name in pair))
         cells = dict(zip(own, CELLS.split(","), strict=True))
         log = text(
