@@ -6,6 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUN    := $(VENV)/.run
 DEV    := $(VENV)/.dev
+DOCS   := $(VENV)/.docs
 FULL   := $(VENV)/.full
 DEMO   := demo
 
@@ -20,9 +21,9 @@ help:            ## list of targets
 
 install: $(RUN)  ## the virtual environment with what the program needs
 
+# Bytecode is of what is imported, then: a tenth of the modules.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
-# On all cores, and without what is hardly ever imported: a quarter of the time that pip takes.
-COMPILE := $(BIN)/python -m compileall -q -j 0 -x '/(tests?|plotly|fontTools|pygments|pip|setuptools)/' $(VENV)/lib || true
+export PYTHONDONTWRITEBYTECODE :=
 
 $(RUN): requirements/run.txt pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; say make PYTHON=...")'
@@ -30,17 +31,14 @@ $(RUN): requirements/run.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --require-hashes -r $<
 	$(INSTALL) --no-deps --no-build-isolation -e .
-	$(COMPILE)
 	@touch $@
 
 $(DEV): requirements/dev.txt $(RUN)
-	$(INSTALL) --require-hashes -r $<
-	$(COMPILE)
-	@touch $@
+$(DOCS): requirements/docs.txt $(DEV)
+$(FULL): requirements/full.txt $(DOCS)
 
-$(FULL): requirements/full.txt $(DEV)
+$(DEV) $(DOCS) $(FULL):
 	$(INSTALL) --require-hashes -r $<
-	$(COMPILE)
 	@touch $@
 
 # The demo's logs are made where no fleet is named.
@@ -102,12 +100,12 @@ bench-guard: $(DEV) ## compare speed with the last committed results
 docs: $(DEV)   ## regenerate the config and table reference
 	$(BIN)/python -m tests.reference_pages docs
 
-docs-site: $(FULL) ## the documentation as pages that can be browsed and searched, in site/
+docs-site: $(DOCS) ## the documentation as pages that can be browsed and searched, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 # Pictures and pages of the docs are those of one demo, whenever they are made.
 pictures: LAST_NIGHT := 2026-03-17
-pictures: report $(FULL) ## make the pictures of the README and the docs anew, from the demo
+pictures: report $(DOCS) ## make the pictures of the README and the docs anew, from the demo
 	$(BIN)/python -m tests.pictures out/report docs/pictures
 	$(BIN)/python -m tests.notebooks .
 
@@ -126,8 +124,10 @@ requirements:    ## make the pins of requirements/ anew of pyproject.toml
 	$(call PINS,run) --group build
 	$(call PINS,dev) --group dev $(addprefix --extra ,dask protobuf s3) $(call BEYOND)
 	sed -i '1i -r run.txt' requirements/dev.txt
-	$(call PINS,full) --group full $(call BEYOND,,dev)
-	sed -i '1i -r dev.txt' requirements/full.txt
+	$(call PINS,docs) --group docs $(call BEYOND,,dev)
+	sed -i '1i -r dev.txt' requirements/docs.txt
+	$(call PINS,full) --group full $(call BEYOND,,dev docs)
+	sed -i '1i -r docs.txt' requirements/full.txt
 	$(call PINS,image) $(addprefix --extra ,dask protobuf s3) -c requirements/dev.txt $(call BEYOND)
 	sed -i '1i -r run.txt' requirements/image.txt
 

@@ -26,7 +26,7 @@ COLOURS = 64
 
 def executed(names: Sequence[str], folder: Path) -> dict[str, Any]:
     """Notebooks by name, executed in a folder one after the other by one kernel."""
-    # Of requirements/full.txt.
+    # Of requirements/docs.txt.
     import nbformat
     from nbclient import NotebookClient
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("nbclient", reason="nbclient is of requirements/full.txt")
+pytest.importorskip("nbclient", reason="nbclient is of requirements/docs.txt")
 
 import nbformat
 

@@ -90,7 +90,7 @@ def test_what_only_tests_and_docs_use_is_not_installed_to_run() -> None:
     text = (ROOT / "requirements" / "run.txt").read_text("utf-8")
     names = {line.partition("==")[0] for line in text.splitlines() if line[0].isalpha()}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    groups = [project["dependency-groups"][name] for name in ("dev", "full")]
+    groups = [project["dependency-groups"][name] for name in ("dev", "docs", "full")]
     others = {Requirement(name).name for group in groups for name in group if isinstance(name, str)}
     # Needed by packages that the program needs.
     assert others & names == {"packaging"}

@@ -14,7 +14,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs
 from tests.pipeline.workshop import QUICK
 
-pytest.importorskip("asammdf", reason="asammdf is of requirements/full.txt")
+pytest.importorskip("asammdf", reason="asammdf is of requirements/docs.txt")
 sys.path.insert(0, str(Path(__file__).parents[3] / "examples" / "mdf4_reader"))
 
 import test_mdf4_reader as example
