@@ -462,8 +462,10 @@ def crossed(nights: Sequence[NightBlocks], event: int, spread: float) -> list[Wa
 
 
 # Standing change, then change some nights after the event. The large one has a baseline of its own.
-BESIDE_EVENTS = [(0.0, 0.0, 0), (0.12, 0.0, 0), (0.3, 0.0, 0), (0.0, 0.12, 4)]
-BESIDE_EVENTS += [pytest.param(0.0, 0.12, 12, marks=pytest.mark.full)]
+BESIDE_EVENTS = [(0.0, 0.0, 0), (0.3, 0.0, 0), (0.0, 0.12, 4)]
+BESIDE_EVENTS += [
+    pytest.param(*case, marks=pytest.mark.full) for case in ((0.12, 0.0, 0), (0.0, 0.12, 12))
+]
 
 
 @pytest.mark.parametrize(("standing", "later", "after"), BESIDE_EVENTS)

@@ -68,13 +68,12 @@ def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
     assert all(any("glossary.html" in name for name in Links(page).targets) for page in others)
 
 
-def test_nothing_new_nothing_written(output: Path) -> None:
-    first = build(output)
-    assert (first.n_motors, first.n_nights) == (6, 3)
-    before = times(output / "report")
-    second = build(output)
-    assert (second.n_nights, second.n_written, second.n_removed) == (0, 0, 0)
-    assert times(output / "report") == before
+def test_nothing_new_nothing_written(built: Path) -> None:
+    before = times(built / "report")
+    second = build(built)
+    assert (second.n_motors, second.n_nights) == (6, 0)
+    assert (second.n_written, second.n_removed) == (0, 0)
+    assert times(built / "report") == before
 
 
 def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(built: Path) -> None:
@@ -140,24 +139,24 @@ def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path
         build(output, folder=tmp_path / "home" / "index.html")
 
 
-def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
+def test_a_motor_without_a_good_night_has_a_page_that_says_why(built: Path) -> None:
     failed = {"status": "failed", "error_code": "log_truncated"}
     failed |= {"reason": "a.csv: its end is missing"}
-    change_table(output, "nights", rows_with(MOTOR, **failed))
+    change_table(built, "nights", rows_with(MOTOR, **failed))
     # Without what the run has left, states are made from the other tables.
-    shutil.rmtree(output / "tables" / "latest")
-    change_table(output, "nights", rows_without("CB560-02"))
-    build(output)
-    text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
+    shutil.rmtree(built / "tables" / "latest")
+    change_table(built, "nights", rows_without("CB560-02"))
+    build(built)
+    text = (built / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text
     assert "could be fitted. The newest, 2026-01-04: failed (log_truncated): a.csv: its end" in text
-    night = packed(output / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
+    night = packed(built / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
     assert "failed (log_truncated): a.csv: its end is missing" in night["words"][0][1][0]
-    index = (output / "report" / "index.html").read_text("utf-8")
+    index = (built / "report" / "index.html").read_text("utf-8")
     order = re.findall(r'<a href="motors/([\w-]+)\.html">', index)
     assert order[0] == MOTOR
     assert "CB560-02" in order
-    empty = (output / "report" / "motors" / "CB560-02.html").read_text("utf-8")
+    empty = (built / "report" / "motors" / "CB560-02.html").read_text("utf-8")
     assert "No night of this motor is in the tables yet" in empty
     assert "plotly" not in empty
 

@@ -14,17 +14,12 @@ import duckdb
 import polars as pl
 import pytest
 
-from tests.conftest import OwnFleet
 from tests.pipeline.calling import (
-    CSV,
     FIRST,
-    PARQUET,
     Call,
     change,
     contents,
-    output_of,
     table_files,
-    without_workers,
 )
 from tests.pipeline.s3_server import BUCKET, URL, Request, Server, Stored, never, upload
 from tests.pipeline.workshop import DAY, QUICK, Workshop
@@ -57,24 +52,20 @@ def put_keys(server: Server) -> list[str]:
 
 
 def test_logs_and_copy_at_a_url_give_the_tables_of_folders(
-    server: Server, own_fleet: OwnFleet, tmp_path: Path, call: Call
+    server: Server, shop: Workshop, tmp_path: Path, call: Call
 ) -> None:
-    fleet = without_workers(own_fleet(CSV, PARQUET, nights=1))
-    assert call("fit-fleet", fleet, "--output", tmp_path / "folder")[0] == 0
-    upload(tmp_path / "demo" / "logs", LOGS)
-    shutil.rmtree(tmp_path / "demo" / "logs")
-    folders = f'logs = "{LOGS}"\ncopy_to = "{URL}"'
-    change(fleet, "fleet.toml", 'logs = "../demo/logs"', folders)
     # A private run is copied nowhere.
-    assert call("fit-fleet", fleet, "--output", tmp_path / "private")[0] == 0
+    assert call("fit-fleet", shop.fleet, "--output", tmp_path / "folder")[0] == 0
     assert server.below(URL) == {}
-    assert call("fit-fleet", fleet)[0] == 0
-    output = output_of(fleet)
-    assert table_files(output) == table_files(tmp_path / "folder")
-    assert server.below(URL) == published(output)
+    upload(tmp_path / "logs", LOGS)
+    shutil.rmtree(tmp_path / "logs")
+    change(shop.fleet, "fleet.toml", 'logs = "../logs"', f'logs = "{LOGS}"')
+    assert call("fit-fleet", shop.fleet)[0] == 0
+    assert table_files(shop.output) == table_files(tmp_path / "folder")
+    assert server.below(URL) == published(shop.output)
     # The second run opens no log.
     server.forget()
-    assert "2 motors" in call("fit-fleet", fleet)[1]
+    assert "1 motor" in call("fit-fleet", shop.fleet)[1]
     assert not [path for path in server.asked("GET") if path.startswith(f"/{BUCKET}/logs/")]
     assert not [key for key in put_keys(server) if "month=2026-01" in key]
 

@@ -24,6 +24,7 @@ ODD: dict[str, Values] = {
     "two values": AT % 2 * 1.0,
     "one sample": np.where(AT == 600, 1.5, np.nan),
 }
+IN_FULL = ("largest", "two values", "one sample")
 TIMES = {
     "sound": STAMPS,
     "all alike": np.full_like(STAMPS, STAMPS[0]),
@@ -55,7 +56,13 @@ def words_of(called: Called) -> str:
 @pytest.mark.parametrize(
     ("kind", "rows", "times", "counted"),
     [
-        *((kind, 1200, "sound", kind == "infinite") for kind in ODD),
+        *(
+            pytest.param(
+                *(kind, 1200, "sound", kind == "infinite"),
+                marks=[pytest.mark.full] * (kind in IN_FULL),
+            )
+            for kind in ODD
+        ),
         *(("sound", rows, "sound", True) for rows in (1, 31)),
         *(("sound", 1200, times, False) for times in ("all alike", "backwards", "uneven")),
     ],

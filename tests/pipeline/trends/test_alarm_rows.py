@@ -94,14 +94,6 @@ def test_changes_of_state(
     assert raised <= {row["id"] for row in rows}
 
 
-def test_night_by_night_they_are_those_of_one_run() -> None:
-    rows: Rows = []
-    for place, state in enumerate(WORN):
-        rows += rows_of(state, first=place, published=rows)
-    assert rows == rows_of(*WORN)
-    assert rows[1]["id"] == f"M1 {night_of(3)} leakage"
-
-
 def test_words_of_a_row_end_on_what_to_do_once() -> None:
     alarm = rows_of("ok", "alarm")
     assert [row["sentence"] for row in alarm] == [

@@ -21,8 +21,7 @@ from tests.pipeline.misbehaviour import (
     environment,
     hang_at_a_log,
     own_pid,
-    slow_by_items,
-    slow_by_parts,
+    slow_by,
     wait_until,
     workers_of,
 )
@@ -108,8 +107,7 @@ def test_a_log_that_a_task_waits_for_is_named() -> None:
     losses: dict[bool, Loss] = {}
     with open_workers(HASTY) as workers:
         list(workers.run(hang_at_a_log, [True, False], losses.__setitem__))
-        for slow in (slow_by_parts, slow_by_items):
-            assert list(workers.run(slow, [3], not_lost)) == [3]
+        assert sorted(workers.run(slow_by, ["items", "parts"], not_lost)) == ["items", "parts"]
     for asked, limit_s in ((True, 0.2), (False, 2)):
         how = f"a.csv did not answer within {limit_s} s, at a night"
         assert losses[asked] == Loss("log_no_answer", how, "a night", "a.csv")
