@@ -56,6 +56,7 @@ from leakage.watch.state import (
     present,
     probability_back,
     since_before,
+    usual_of,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
@@ -249,8 +250,6 @@ def _before(state: WatchState, detected_on: int) -> ChangeInForce | None:
 
 
 Earlier = Callable[[int], Sequence[NightBlocks]]
-# Nights without an odd night after which odd nights are over.
-QUIET_NIGHTS = 30
 
 
 def begin(
@@ -263,12 +262,14 @@ def begin(
 ) -> WatchState:
     """Return the state after the nights of a baseline, of the form that is given, if any."""
     baseline = baseline_of(machine, nights, has_further=has_further)
-    of_nights = [baseline.information(night) for night in nights]
+    of_nights = zip(*map(baseline.of_night, nights), strict=True)
+    information, score, distance, misfit = map(np.array, of_nights)
     window = Window(
         np.array([night.day for night in nights]),
-        np.array([information for information, _ in of_nights]),
-        np.array([score for _, score in of_nights]),
-        np.array([baseline.distance(night) for night in nights]),
+        information,
+        score,
+        distance,
+        misfit,
         np.zeros(len(nights)),
         baseline.columns.prior(),
         np.zeros(baseline.columns.n),
@@ -285,6 +286,7 @@ def begin(
         causes,
         first_step=nights[-1].day + 1,
         first_ramp=nights[0].day,
+        usual_misfit=usual_of(misfit),
         n_baseline=len(nights),
         n_nights=len(nights),
         due=math.ceil(len(nights) * choices.ANEW_FACTOR),
@@ -455,6 +457,7 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
         carried=on_first_baseline(state, slice(-len(nights), None)),
         evidence=state.evidence,
         in_force=in_force,
+        usual_misfit=state.usual_misfit,
     )
 
 
@@ -465,7 +468,7 @@ def at_rest(state: WatchState) -> WatchState:
         return state
     if in_force.change.cause == ODD_NIGHTS:
         odd = state.window.days[state.window.odd > 1.0]
-        is_over = not len(odd) or len(state.window) - state.place(odd[-1]) > QUIET_NIGHTS
+        is_over = not len(odd) or len(state.window) - state.place(odd[-1]) > choices.ODD_ARE_OVER
     else:
         is_over = mean_change(state).holds_zero or probability_back(state) > choices.MOSTLY
     return replace(state, in_force=None) if is_over else state

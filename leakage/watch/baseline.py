@@ -24,6 +24,7 @@ from leakage.watch.within_night import (
     contradicted,
     estimate_errors,
     night_information,
+    unexplained_share,
 )
 
 # Columns of the effect of temperature.
@@ -294,6 +295,12 @@ class Baseline:
         design, residuals = self.columns.of_night(night)
         residuals = residuals - design @ self.unknowns
         return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
+
+    def of_night(self, night: NightBlocks) -> tuple[Array, Array, float, float]:
+        """Return what a window has of a night: information, score, distance and misfit."""
+        drives = self.columns.all_drives(night.drives, night.conditions)
+        misfit = unexplained_share(night.flow, self.columns.expected(drives), night.conditions)
+        return (*self.information(night), self.distance(night), misfit)
 
     def distance(self, night: NightBlocks) -> float:
         """Return the largest distance of a night's conditions from the baseline's, in their sd."""

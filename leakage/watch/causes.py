@@ -19,7 +19,7 @@ ALL_GAPS, ALL_FLOWS, OIL_GRADE = "all_gaps", "all_flows", "oil_grade"
 TEMPERATURE_SENSOR, TEMPERATURE_EFFECT = "temperature_sensor", "temperature_effect"
 ZERO, AND = "zero", " and "
 BACK, ODD_NIGHTS, TANK = "back_as_before", "odd_nights", "tank"
-NOT_IDENTIFIED = "not_identified"
+NOT_IDENTIFIED, CHANNELS = "not_identified", "channels"
 # What changes the drain flow and no leakage.
 NO_LEAKAGE = (FLUSHING, ZERO)
 # What moves all flows together, and is no path.

@@ -64,7 +64,8 @@ ODD, OFTEN = 0.003, 0.25
 # Evidence of a start at other operating conditions from which each night is left out in turn.
 LEFT_OUT_FROM = 2.0
 # Odd nights are counted within so many nights; at least so many; at most this share of the nights.
-ODD_WITHIN, LEAST_ODD, MOST_ODD = 60, 3, 0.5
+# They are over behind so many nights without.
+ODD_WITHIN, LEAST_ODD, MOST_ODD, ODD_ARE_OVER = 60, 3, 0.5, 30
 # Model error a standard deviation of other operating conditions beyond the first 1.5, at most 4 of
 # them. Where the baseline's pressures and speeds vary, half of the lack of fit stands in, but for
 # this least.
@@ -128,6 +129,17 @@ ONE_POINT = 0.2
 LEAST_SHARE_TO_SHOW = 0.1
 # Nights behind the present change: after a step, and during a ramp.
 PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
+
+# -- nights that follow their channels no more -----------------------------------------------------
+# A night does not where its conditions leave more of its flow than this unexplained, and than so
+# many times the most of a night of the baseline; so many nights in a row begin it, and end it.
+# Wear of any kind of the benchmark's machines, other oil and other loads leave 2.4 times the most,
+# 48 lives on machines by others less than 2.2 on two nights in a row. A meter or a tag of another
+# motor, a clock that drifts, a meter that is damped or late leave 10 to 60 times (5 to 50 %).
+LEAST_MISFIT, MISFIT_RATIO, MISFIT_NIGHTS = 0.05, 2.5, 2
+# A flow follows nothing that goes by less than this with the expected: a meter that is stuck.
+# Spread of conditions below which they are the same; blocks that a term of them needs.
+LEAST_RESPONSE, LEAST_SPREAD, BLOCKS_A_TERM = 0.25, 1e-6, 1.5
 
 # -- after a change --------------------------------------------------------------------------------
 # Nights from the night on which a change is detected to its adoption.

@@ -35,6 +35,7 @@ class Window:
     information: Array
     score: Array
     distance: Array  # Of each night's operating conditions from the baseline's, shape (n,).
+    misfit: Array  # Share of each night's flow that its conditions do not explain, shape (n,).
     # ln of how much likelier each night was as an odd night, shape (n,); 0 in the baseline.
     odd: Array
     # before, score_before: Prior, and what the nights before the window say, shapes (q, q) and
@@ -45,7 +46,9 @@ class Window:
     def __len__(self) -> int:
         return len(self.days)
 
-    def with_night(self, day: int, information: Array, score: Array, distance: float) -> Window:
+    def with_night(
+        self, day: int, information: Array, score: Array, distance: float, misfit: float
+    ) -> Window:
         """Return the window with a night more."""
         return replace(
             self,
@@ -53,6 +56,7 @@ class Window:
             information=np.concatenate([self.information, information[None]]),
             score=np.concatenate([self.score, score[None]]),
             distance=np.append(self.distance, distance),
+            misfit=np.append(self.misfit, misfit),
             odd=np.append(self.odd, 0.0),
         )
 
@@ -63,6 +67,7 @@ class Window:
             self.information[first:],
             self.score[first:],
             self.distance[first:],
+            self.misfit[first:],
             np.zeros(len(self) - first),
             before,
             score_before,

@@ -115,8 +115,8 @@ class Change:
 
     # cause, probability: A path's name, ``all_gaps``, ``all_flows``, ``oil_grade``,
     # ``temperature_sensor``, ``temperature_effect``, ``flushing``, ``back_as_before``,
-    # ``odd_nights``, ``tank`` or ``not_identified``; its probability, where it cannot be identified
-    # that of the likeliest.
+    # ``odd_nights``, ``channels``, ``tank`` or ``not_identified``; its probability, where it cannot
+    # be identified that of the likeliest.
     cause: str
     probability: float
     candidates: Mapping[str, float]  # Causes above 1 %, by probability.
@@ -184,3 +184,7 @@ class Verdict:
     # night may hold a change yet.
     smallest: float | None
     is_beyond: bool = False  # Whether this night alone is beyond `smallest`, nothing in force.
+    # misfit, usual_misfit: Share of the flow that the conditions do not explain, the most of the
+    # last two nights and of the first baseline's.
+    misfit: float = 0.0
+    usual_misfit: float = 0.0

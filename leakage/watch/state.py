@@ -17,13 +17,14 @@ from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
+from leakage.watch.causes import BACK, CHANNELS, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import Causes, Evidence, Parts, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
     KNOWN,
     RAMPS,
+    STEPS,
     Change,
     Estimate,
     Machine,
@@ -176,6 +177,7 @@ class WatchState:
     sums: Sums
     wander: Wander
     causes: Causes  # Causes of a change, with those that undo what was adopted.
+    usual_misfit: float  # The most of the first baseline's nights; those since may be no measure.
     # first_step, first_ramp: Day of the first candidate start of each shape.
     first_step: int
     first_ramp: int
@@ -435,13 +437,45 @@ def probability_back(state: WatchState) -> float:
 
 
 def reported_change(state: WatchState) -> Change | None:
-    """Return the change that is reported, None where there is none or its interval holds 0."""
+    """Return the change that is reported, None where there is none or its interval holds 0.
+
+    Nothing is said of the motor by channels that do not belong together.
+    """
+    if (unlike := _channels_apart(state)) is not None:
+        return unlike
     change = change_in_force(state)
     probability = probability_back(state)
     if change is not None and probability > choices.MOSTLY:
         candidates = {BACK: probability}
         return replace(change, cause=BACK, probability=probability, candidates=candidates, alike=())
     return None if is_contradicted(state) else change
+
+
+def usual_of(misfit: Array) -> float:
+    """Return the most of a baseline's nights; inf where most of them are too short to tell."""
+    known = misfit[np.isfinite(misfit)]
+    return float(known.max()) if 2 * len(known) >= len(misfit) else math.inf
+
+
+def _channels_apart(state: WatchState) -> Change | None:
+    """Return that the flow follows the other channels no more; None where it does.
+
+    Two nights in a row begin it, and two that follow end it.
+    """
+    window, gap = state.window, choices.MISFIT_NIGHTS
+    limit = max(choices.LEAST_MISFIT, choices.MISFIT_RATIO * state.usual_misfit)
+    places = np.flatnonzero(window.misfit > limit)
+    if not len(places) or len(window) - 1 - places[-1] >= gap:
+        return None
+    breaks = np.flatnonzero(np.diff(places) > gap)
+    run = places[breaks[-1] + 1 if len(breaks) else 0 :]
+    pairs = np.flatnonzero(np.diff(run) == 1)
+    if not len(pairs):
+        return None
+    since, detected_on = window.days[run[pairs[0] :][:gap]].tolist()
+    size = on_first_baseline(state, slice(-1, None))
+    dates, sole = (since, since, since), {CHANNELS: 1.0}
+    return Change(CHANNELS, 1.0, sole, (), size.value > 0.0, STEPS, *dates, detected_on, size)
 
 
 def change_in_force(state: WatchState) -> Change | None:

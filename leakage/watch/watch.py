@@ -128,6 +128,8 @@ class Watch:
             mean_change(state),
             state.smallest,
             nights_beyond(state) > 0,
+            float(np.nanmax(state.window.misfit[-choices.MISFIT_NIGHTS :], initial=0.0)),
+            state.usual_misfit,
         )
 
     def change_since(self, day: int, first: int, last: int) -> Estimate | None:
@@ -206,9 +208,7 @@ class Watch:
 
 def with_night(state: WatchState, night: NightBlocks) -> WatchState:
     """Return the state with a further night, of which nothing is detected yet."""
-    information, score = state.baseline.information(night)
-    distance = state.baseline.distance(night)
-    window = state.window.with_night(night.day, information, score, distance)
+    window = state.window.with_night(night.day, *state.baseline.of_night(night))
     sums = state.sums.extended(window, state.wander, len(window) - 1)
     return replace(state, window=window, sums=sums, n_nights=state.n_nights + 1)
 

@@ -6,6 +6,7 @@ in for the wander from night to night while that is not known, and is left out a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -151,3 +152,28 @@ def contradicted(paths: Array, residuals: Array, middle_s: Array, errors: BlockE
             break
         wider = new
     return wider
+
+
+def unexplained_share(flow: Array, expected: Array, conditions: Array) -> float:
+    """Return the share of a night's mean flow that its conditions do not explain; nan: too short.
+
+    Root mean square of what stays of the flow, shape (b,), beside any smooth function of the
+    expected flow, shape (b,), and of temperature, pressure and speed, shape (b, 3): wear of any
+    law, another oil and a meter's gain are none of it. A flow that does not go with the expected
+    has nothing explained.
+    """
+    spread = conditions.std(axis=0)
+    varies = spread > choices.LEAST_SPREAD * np.abs(conditions).max(axis=0)
+    terms = ((conditions - conditions.mean(axis=0)) / np.where(varies, spread, 1.0))[:, varies]
+    rows, columns = np.triu_indices(terms.shape[1])
+    design = np.column_stack(
+        [np.ones(len(flow)), expected, terms, terms[:, rows] * terms[:, columns]]
+    )
+    if len(flow) < choices.BLOCKS_A_TERM * design.shape[1]:
+        return math.nan
+    fitted, _, rank, _ = np.linalg.lstsq(design, flow, rcond=choices.LEAST_SPREAD)
+    left, freedom = flow - design @ fitted, len(flow) - int(rank)
+    response = np.polyfit(expected, flow, 1)[0] if np.ptp(expected) else 1.0
+    if response < choices.LEAST_RESPONSE:
+        left, freedom = flow - expected * (flow.mean() / expected.mean()), len(flow)
+    return math.sqrt(float(left @ left) / freedom) / max(float(flow.mean()), 1e-9)

@@ -59,6 +59,10 @@ MINIMUM_TRAINING_MINUTES = 5.0
 # Of fewer of the running motor's samples nobody knows whether they are typical of the night.
 MINIMUM_KEPT_SHARE = 0.6
 
+# Pressure difference, and its way over the night, from which a motor at rest seems to work: a load
+# that is held has the same pressure all night.
+LEAST_WORK_BAR, LEAST_WORK_SHARE = 20.0, 0.25
+
 # Tables below a night that have rows without a fit, too.
 WITHOUT_A_FIT = ("quality", "blocks")
 
@@ -201,6 +205,13 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...]) -> None:
     still = samples.n_logged - samples.n_turning
     # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
     if not samples.n_running and 2 * still > samples.n_logged:
+        low, high = samples.bar_at_rest
+        if high > LEAST_WORK_BAR and high - low > LEAST_WORK_SHARE * high:
+            raise Insufficient(
+                INSUFFICIENT_DATA,
+                f"the speed is that of standstill all night, while the pressure difference goes "
+                f"from {low:.0f} to {high:.0f} bar: is the speed sensor dead?",
+            )
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < MINIMUM_KEPT_SHARE:
         rules = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]

@@ -101,6 +101,8 @@ class Samples:
     # standstill.
     n_logged: int = 0
     n_turning: int = 0
+    # Ends of the pressure difference [bar] while the speed says standstill; (0, 0) without one.
+    bar_at_rest: tuple[float, float] = (0.0, 0.0)
     # Zeros of the pressure difference and of the drain flow by halts; None where none shows them.
     pressure_zero: Zero | None = None
     flow_zero: Zero | None = None
@@ -196,6 +198,7 @@ def bring_together(
         delay_s=float(delay_s[credible].mean()) if len(credible) else 0.0,
         n_logged=int(n_logged),
         n_turning=int(n_logged - np.count_nonzero(masks["standstill"])),
+        bar_at_rest=_ends(np.abs(values["pressure_difference"][masks["standstill"]])),
         pressure_zero=pressure_zero,
         flow_zero=flow_zero,
         viscosities={
@@ -204,6 +207,13 @@ def bring_together(
         },
     )
     return samples, tuple(counted)
+
+
+def _ends(values: Values) -> tuple[float, float]:
+    """Return the tenth and the ninetieth percentile of values that are known; 0 without any."""
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, (0.1, 0.9)).tolist() if len(known) else (0.0, 0.0)
+    return low, high
 
 
 def _on_one_grid(

@@ -175,6 +175,7 @@ class Course:
             n_waiting=len(self.waiting),
             silent=int(nights.numbers[place]) - last,
             why_no_blocks="" if n_blocks else nights.why_no_blocks(label),
+            is_refused=not n_blocks and nights.is_refused(label),
             fitted=nights.fitted_leakage(label),
         )
         if self.watch is None or self.baseline is None:

@@ -16,6 +16,7 @@ from leakage.watch.causes import (
     ALL_GAPS,
     AND,
     BACK,
+    CHANNELS,
     NO_LEAKAGE,
     NOT_IDENTIFIED,
     ODD_NIGHTS,
@@ -43,7 +44,7 @@ A_PART, ONE_OF = "a_part", " or "
 # Causes beside parts that may be wear.
 MAY_BE_WEAR = (A_PART, ALL_GAPS, ALL_FLOWS, SEVERAL)
 # Names that do not come of the shape of a change.
-NOT_OF_SHAPE = (BACK, ODD_NIGHTS, TANK)
+NOT_OF_SHAPE = (BACK, CHANNELS, ODD_NIGHTS, TANK)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +93,7 @@ class NightState:
     n_waiting: int  # nights so far of a baseline that is not whole
     silent: int  # nights since the last with blocks
     why_no_blocks: str = ""  # empty where the night has some
+    is_refused: bool = False  # it has samples, and too few that count
     fitted: Estimate | None = None  # reference leakage of the night's own fit
     baseline: Baseline | None = None
     watch: Watch | None = None

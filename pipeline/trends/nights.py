@@ -27,7 +27,9 @@ from pipeline.night.statistics import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import (
     ALARMS,
     BLOCKS,
+    FAILED,
     FITS,
+    INSUFFICIENT_DATA,
     LOG_FILES,
     NIGHTS,
     NO_NEW_DATA,
@@ -171,6 +173,10 @@ class PublishedNights:
             return NO_LOG
         status = "no blocks" if row["status"] == OK else row["status"].replace("_", " ")
         return ": ".join(filter(None, (status, row["reason"])))
+
+    def is_refused(self, night: dt.date) -> bool:
+        """Return whether a night has samples of which too few count."""
+        return self.rows.get(night, {}).get("status") in (FAILED, INSUFFICIENT_DATA)
 
     def fitted_leakage(self, night: dt.date) -> Estimate | None:
         """Leakage at the reference conditions by a night's own fit; None where it has none."""

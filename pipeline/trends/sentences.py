@@ -24,6 +24,7 @@ WHAT = {
     "zero": "flow has {risen} as with a zero of the flow sensor that has moved",
     "back_as_before": "flow is back where it was",
     "odd_nights": "single nights deviate, again and again",
+    "channels": "case drain flow follows pressure, oil temperature and speed no more",
     "tank": "all flows have {risen} as those of the oil circuit's other motors",
     "a_part": "leakage of a part of the motor has {risen}",
     "not_identified": "leakage has {risen}, cause not identified",
@@ -38,6 +39,7 @@ CAUSES = {
     "zero": "the zero of the flow sensor",
     "back_as_before": "back as before",
     "odd_nights": "single odd nights",
+    "channels": "channels that do not belong together",
     "tank": "the oil circuit",
     "several": "more than one change at once",
     "a_part": "a part of the motor",
@@ -45,6 +47,10 @@ CAUSES = {
 }
 WAIT = "Wait for more nights."
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
+CHECK_CHANNELS = (
+    "Compare each channel with its instrument: whose tag it is, its clock, and whether it is held, "
+    "damped or late. Where all are right, inspect the motor."
+)
 ADVICE = {
     "all_flows": "Take an oil sample, and check the flow meter's zero at a halt.",
     "oil_grade": "Take an oil sample, or enter the oil_change that was made.",
@@ -54,6 +60,7 @@ ADVICE = {
     "zero": "Check the zero of the flow sensor at a halt without pressure.",
     "back_as_before": "Nothing to do.",
     "odd_nights": "Compare duty, charge pressure and oil of these nights with the others.",
+    "channels": CHECK_CHANNELS,
     "tank": "Check oil, temperature and charge pressure of the oil circuit.",
 }
 BY_SPEED = "speed_curve"
@@ -118,6 +125,8 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
         parts.append(_changed(night, night.change))
     elif quiet_since is not None and night.verdict and night.state != "stale":
         parts.append(_quiet(night, quiet_since))
+    if night.is_refused and night.verdict is not None and night.state != "stale":
+        parts.append(f"no figure of {day(night.night)}: {night.why_no_blocks}")
     if _no_part_is_named(night) and night.verdict is not None:
         lack = night.verdict.lack_of_fit
         parts.append(f"the model misses {100 * lack:.0f} % of the flow, so no part is named")
@@ -140,11 +149,15 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
         return _advice_on(night, night.change)
     if drifts:
         return CHECK_ZERO
+    if night.is_refused and night.silent > 1:
+        return "See to the reason of the last nights: nothing is known of the motor since."
     return WAIT if night.state == "insufficient" else "Nothing to do."
 
 
 def _advice_on(night: NightState, change: Change) -> str:
     """Return what to do about a change in force."""
+    if change.cause == "channels":
+        return CHECK_CHANNELS
     parts = f"the {_parts(change)}" if is_of_parts(change.cause) else ""
     if night.state == "alarm":
         # An alarm carries an order, whatever its cause is called.
@@ -231,6 +244,8 @@ def _quiet(night: NightState, since: dt.date) -> str:
 
 def _changed(night: NightState, change: Change) -> str:
     """Return a change in force in words."""
+    if change.cause == "channels":
+        return _channels_apart(night, change)
     what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
     if ONE_OF in change.cause:
         what = f"leakage has {{risen}} through one or more of: {_one_of(change.cause)}"
@@ -256,6 +271,17 @@ def _changed(night: NightState, change: Change) -> str:
     return "; ".join(part for part in parts if part)
 
 
+def _channels_apart(night: NightState, change: Change) -> str:
+    """Return in words that the flow follows the other channels no more."""
+    verdict = night.verdict
+    assert verdict is not None
+    missed, usual = 100.0 * verdict.misfit, 100.0 * verdict.usual_misfit
+    return (
+        f"{WHAT[change.cause]} {_since(change)}: they leave {missed:.0f} % of it unexplained, at "
+        f"most {usual:.1g} % over the baseline; as measured {_newest_night(night)}"
+    )
+
+
 def _beside_circuit(night: NightState, change: Change) -> str:
     """Return the motor's own part and what its circuit's other motors did, over which nights."""
     circuit = night.circuit
@@ -270,6 +296,8 @@ def _beside_circuit(night: NightState, change: Change) -> str:
 
 def _others(change: Change) -> str:
     """Return what it could be, with probabilities."""
+    if change.cause == "odd_nights":
+        return ""
     several = sorted(change.candidates.items(), key=lambda pair: -pair[1])
     if change.cause == "not_identified":
         left = [f"{cause_words(name)} {percent(p)}" for name, p in several[:MOST_CANDIDATES]]

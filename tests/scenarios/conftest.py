@@ -64,7 +64,7 @@ PLANT = (
 
 
 CHANGE = 10  # night from which on the motors of `OTHERS` are changed
-# Unstated oil of a tank, a stated change of it, a meter, all gaps, an overhaul.
+# Unstated oil of a tank, a stated change of it, a meter, one that is late, all gaps, an overhaul.
 OTHERS = (
     *(Simulated(f"thinner_{n}", unstated_oil=(CHANGE, "vg46"), circuit="tank") for n in (1, 2)),
     Simulated(
@@ -72,6 +72,7 @@ OTHERS = (
         lines=f'[[events]]\ndate = {FIRST + 9 * DAY}\nkind = "oil_change"\noil = "vg46"\n',
     ),
     Simulated("metered", misread={"leakage_flow": (CHANGE, 1.25, 0.0)}),
+    Simulated("late", late_flow=(CHANGE, 60)),
     Simulated("aged", step(at=CHANGE, gap=0.06)),
     Simulated(
         "overhauled",

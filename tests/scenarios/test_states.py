@@ -29,6 +29,7 @@ OTHER_STATES = {
     "thinner_2": ("alarm", "oil_grade", CHANGE, None),
     "metered": ("warning", "all_flows", CHANGE, 25.0),
     "aged": ("warning", "all_gaps", CHANGE, None),
+    "late": ("warning", "channels", CHANGE, 0.0),
     "overhauled": ("ok", None, None, None),
 }
 
@@ -62,6 +63,9 @@ def test_other_causes_are_not_taken_for_wear(others: ScenarioFleet, motor: str) 
     if motor.startswith("thinner"):
         assert newest["likely_iso_vg"] == 46
         assert "oil" in newest["sentence"]
+    elif cause == "channels":
+        # Nothing is said of the leakage by channels that do not belong together.
+        assert last["days_to_limit_status"] == "insufficient"
     else:
         true = others.true_change_percent(last) if change is None else change
         assert last["leakage_change_lower"] < true < last["leakage_change_upper"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,7 +13,13 @@ from numpy.typing import NDArray
 from leakage.watch import Machine, NightBlocks
 from leakage.watch.baseline import Baseline, Columns, baseline_of, knots_at
 from leakage.watch.causes import Cause, causes_of
-from leakage.watch.within_night import START, BlockErrors, estimate_errors, night_information
+from leakage.watch.within_night import (
+    START,
+    BlockErrors,
+    estimate_errors,
+    night_information,
+    unexplained_share,
+)
 from tests.leakage.watch.made_machine import (
     CB560,
     COEFFICIENTS,
@@ -270,6 +277,43 @@ def test_a_broken_path_makes_no_block_odd() -> None:
     precise = np.linalg.inv(TRUTH.covariance(MIDDLE_S))
     assert information == pytest.approx(design.T @ precise @ design, rel=1e-9)
     assert np.linalg.solve(information, score)[0] == pytest.approx(2.0, abs=0.1)
+
+
+def conditions_of(seed: int) -> Array:
+    """Temperature, pressure and speed of thirty blocks."""
+    generator = np.random.default_rng(seed)
+    ends = (45.0, 60.0), (60.0, 280.0), (5.0, 45.0)
+    return np.column_stack([generator.uniform(low, high, 30) for low, high in ends])
+
+
+def flow_at(conditions: Array, warmer_k: float = 0.0) -> Array:
+    """A flow that goes with pressure over viscosity, and with the speed, [l/min]."""
+    temperature, bar, rpm = conditions.T
+    return 0.004 * bar * np.exp((temperature + warmer_k - 50.0) / 25.0) + 0.01 * rpm
+
+
+OWN = conditions_of(1)
+
+
+@pytest.mark.parametrize(
+    ("flow", "least", "most"),
+    [
+        pytest.param(1.3 * flow_at(OWN) + 0.05, 0.0, 1e-3, id="another gain and zero"),
+        pytest.param(flow_at(OWN) + 2e-5 * OWN[:, 1] ** 2, 0.0, 1e-3, id="a path of another law"),
+        pytest.param(flow_at(OWN, 5.0), 0.0, 5e-3, id="a temperature sensor 5 K low"),
+        pytest.param(flow_at(conditions_of(2)), 0.25, 0.6, id="the meter of another motor"),
+        pytest.param(0.74 + 0.01 * np.cos(np.arange(30)), 0.25, 0.6, id="a meter that is stuck"),
+    ],
+)
+def test_what_conditions_leave_unexplained(flow: Array, least: float, most: float) -> None:
+    """Nothing of wear, oil and gain; where it does not follow, more than a quarter of the flow."""
+    assert least <= unexplained_share(flow, flow_at(OWN), OWN) < most
+
+
+def test_a_short_night_tells_nothing_of_what_is_unexplained() -> None:
+    assert math.isnan(unexplained_share(flow_at(OWN)[:12], flow_at(OWN)[:12], OWN[:12]))
+    constant = np.tile(OWN[0], (30, 1))
+    assert unexplained_share(flow_at(constant), flow_at(constant), constant) < 1e-9
 
 
 BASELINE = baseline_of(CB560, Plant().nights(15, 1))

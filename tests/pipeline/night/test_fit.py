@@ -223,6 +223,7 @@ def test_the_low_side_changes_its_port_under_back_drive(tmp_path: Path, spec: Mo
 
 MOVING = operate()
 PLACE = np.arange(len(MOVING.time_us))
+STILL = 0.1 + 1e-3 * np.sin(MOVING.pressure_bar)
 LIMITS: dict[str, dict[str, Any]] = {
     "leakage_flow": {"sensor_maximum": 0.5},
     "oil_temperature": {"valid_range": (0.0, 1000.0)},
@@ -233,8 +234,11 @@ LIMITS: dict[str, dict[str, Any]] = {
     ("limited", "changed", "outcome", "words"),
     [
         pytest.param(
-            "", {"speed": 0.1 + 1e-3 * np.sin(MOVING.pressure_bar)},
+            "", {"speed": STILL, "pressure_difference": 60.0 + 1e-3 * np.sin(PLACE)},
             STOOD_STILL, ["the motor stood still all night"], id="stood still",
+        ),
+        pytest.param(
+            "", {"speed": STILL}, INSUFFICIENT_DATA, ["is the speed sensor dead?"], id="dead speed",
         ),
         pytest.param(
             "leakage_flow", {"speed": np.where(PLACE < 60, 0.0, MOVING.speed_rpm)},

@@ -186,6 +186,9 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
     for name, night in {
         "quiet": watched(),
         "quiet, without newer blocks": watched(silent=3, n_blocks=0),
+        "nights of which too few samples count": watched(
+            silent=2, n_blocks=0, is_refused=True, why_no_blocks="insufficient data: frozen 93 %"
+        ),
         "a night alone beyond the limit": watched(
             newest_night=Estimate(0.08, 0.01), is_beyond=True
         ),
