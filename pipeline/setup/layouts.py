@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from glob import escape
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 from pipeline.logs.finding import suffix_of
@@ -74,24 +74,42 @@ def kinds_of(
     alike: dict[Parts, list[Path]] = {}
     for path in files:
         alike.setdefault(template_of(path.relative_to(root).parts), []).append(path)
-    by_count: dict[Parts, list[Parts]] = {}
+    for without in (without_counts, _without_word):
+        groups: dict[Parts, dict[Parts, list[Path]]] = {}
+        for template, own in alike.items():
+            groups.setdefault(without(template), {})[template] = own
+        alike = {}
+        for joined, by_template in groups.items():
+            is_word = without is _without_word
+            if len(by_template) > 1 and _is_one_motor(
+                joined, by_template, columns_of, span_of, ask, is_word=is_word
+            ):
+                by_template = {joined: sorted(chain(*by_template.values()))}
+            alike |= by_template
+    by_motor: dict[Parts, list[Parts]] = {}
     for template in alike:
-        by_count.setdefault(without_counts(template), []).append(template)
-    by_template: dict[Parts, list[Path]] = {}
-    for counted, templates in by_count.items():
-        own = {template: alike[template] for template in templates}
-        if len(own) > 1 and _is_one_motor(counted, own, columns_of, span_of, ask):
-            own = {counted: sorted(path for group in own.values() for path in group)}
-        by_template |= own
-    in_folder = Counter(template[:-1] for template in by_template)
+        by_motor.setdefault((*template[:-1], _unpacked(template[-1])), []).append(template)
+    in_folder = Counter(template[:-1] for template in by_motor)
     return [
         Kind(
-            _patterns(template, own, files, root),
-            tuple(own),
+            tuple(chain(*(_patterns(own, alike[own], files, root) for own in templates))),
+            tuple(sorted(chain(*map(alike.__getitem__, templates)))),
             _name(template, is_alone=in_folder[template[:-1]] == 1) or root.name,
         )
-        for template, own in by_template.items()
+        for template, templates in by_motor.items()
     ]
+
+
+def _without_word(template: Parts) -> Parts:
+    """Return a template with a mark for the word behind its date, as of a shift."""
+    begin, mark, end = template[-1].rpartition(VARIES)
+    end = re.sub(r"^([-_. ]?)[^\W\d_]+(?=\.)", rf"\1{COUNT}", end) if mark else end
+    return (*template[:-1], begin + mark + end)
+
+
+def _unpacked(name: str) -> str:
+    """Return the name of a log without the suffix of its packing."""
+    return re.sub(r"(?i)\.(?:gz|zst)$", "", name)
 
 
 def template_of(place: Sequence[str]) -> Parts:
@@ -154,8 +172,13 @@ def _is_one_motor(
     columns_of: Callable[[Path], object],
     span_of: Callable[[Path], Span | None],
     ask: Ask,
+    *,
+    is_word: bool,
 ) -> bool:
-    """True if files that differ by a count are one motor's; it is asked where that is not clear."""
+    """True if files that differ by a count, or a word, are one motor's.
+
+    It is asked where that is not clear.
+    """
     columns = [columns_of(group[-1]) for group in own.values()]
     if None in columns or any(column != columns[0] for column in columns):
         return False
@@ -168,7 +191,7 @@ def _is_one_motor(
     before = words_of(re.split(f"{COUNT}|{VARIES}", part)[0])[-1:]
     is_log = VARIES in part or not before or is_in(before, "file", "log")
     is_dated = all(re.search(_SHORT_DATE, template[-1]) for template in own)
-    if None not in spans and (is_log or is_dated):
+    if None not in spans and (is_log or is_dated) and not is_word:
         return True
     shown = ", ".join("/".join(template) for template in list(own)[:3]).replace(VARIES, "*")
     text = f"{shown}: logs of one motor, one after the other, or of several motors?"

@@ -22,7 +22,7 @@ from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
 from pipeline.logs.dates import NEAR_DAYS, days_off
-from pipeline.logs.finding import SUFFIXES, logs_below
+from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
 from pipeline.setup.layouts import Kind, kinds_of
 from pipeline.setup.names import groups_of, is_in, unit_named, words_of
 from pipeline.setup.questions import Asked, Chooser
@@ -149,9 +149,10 @@ def _without_copies(
 ) -> list[Kind]:
     """The kinds without those of which the rows are another's, and the name but for a word.
 
-    Which of both is a motor's is asked; a name of its own is a motor's own.
+    Which of both is a motor's is asked, also of those of one name in two formats; a name of its own
+    is a motor's own.
     """
-    first_with, copies = dict[int, str](), set[str]()
+    first_with, first_named, copies = dict[int, str](), dict[str, str](), set[str]()
     for kind in kinds:
         table, pattern = table_of(kind.files[-1]), kind.patterns[0]
         if isinstance(table, LogError):
@@ -163,8 +164,11 @@ def _without_copies(
         # Of motors that stand still all cells may be alike.
         varies = len({row[len(table.times) :] for row in rows}) >= _FEWEST_COMPARED
         is_named_so = _words(other) < _words(pattern) or _words(pattern) < _words(other)
-        if is_named_so and varies and 2 * n_alike > len(rows):
-            text = f"{other} and {pattern} have the same rows: which is a motor's?"
+        namesake = first_named.setdefault(pattern.removesuffix(suffix_of(Path(pattern))), pattern)
+        is_copy = is_named_so and varies and 2 * n_alike > len(rows)
+        if is_copy or namesake != pattern:
+            other, what = (other, "rows") if is_copy else (namesake, "name")
+            text = f"{other} and {pattern} have the same {what}: which is a motor's?"
             choices = (other, pattern, "both")
             answer = asked.ask(f"motors of {pattern}", text, choices)
             copies |= {choice for choice in choices[:2] if answer in choices[:2]} - {str(answer)}
@@ -181,10 +185,13 @@ def _why_no_log(folder: Path) -> str:
     names = sorted(path.name for path in folder.rglob("*") if path.is_file())
     there = f"; there is {', '.join(names[:3])}" if names else ""
     packed = any(
-        Path(name).suffix in (".zstd", ".zst", ".gz", ".zip", ".bz2", ".xz") for name in names
+        Path(name).suffix in (".zstd", ".zst", ".gz", ".tgz", ".zip", ".bz2", ".xz")
+        for name in names
     )
-    how = "; of text under another name, name it .csv" if names else ""
-    how = ": unpack it (packed are read .csv.gz and .csv.zst alone)" if packed else how
+    how = "; name delimited text .csv and Parquet .parquet, and export others as such"
+    how = (
+        ": unpack it (packed are read .csv.gz and .csv.zst alone)" if packed else how * bool(names)
+    )
     return f"there is no log ({', '.join(SUFFIXES)}) in it{there}{how}"
 
 

@@ -208,6 +208,28 @@ CASES: Mapping[str, Case] = {
         {"motors of w_latest.csv": ("w_[0-9]*.csv", "w_latest.csv", "both")},
         {"motors of w_latest.csv": "w_[0-9]*.csv"},
     ),
+    "logs of today, and packed ones before, are a motor's": Case(
+        {
+            f"w_2026-01-1{day}": text(FOUR, CELLS).replace("01-13", f"01-1{day[0]}")
+            for day in ("3.csv.gz", "4.csv")
+        },
+        {"w": {"files": "['w_*.csv.gz', 'w_*.csv']"}},
+    ),
+    "of two formats one is a motor's": Case(
+        {name: text(FOUR, *VARYING) for name in ("w_2026-01-13.csv", "w_2026-01-13.txt")},
+        {"w": {DP: "dp [bar]|bar"}},
+        {"motors of w_*.txt": ("w_*.csv", "w_*.txt", "both")},
+        {"motors of w_*.txt": "w_*.csv"},
+    ),
+    "shifts of a day are a motor's": Case(
+        {
+            f"w_2026-01-13_{shift}.csv": text(FOUR, CELLS).replace("T06", f"T{hour}")
+            for shift, hour in (("early", "06"), ("late", "14"))
+        },
+        {"w": {"files": "['w_*_*.csv']"}},
+        {"motors of w_*_*.csv": ("one", "several")},
+        {"motors of w_*_*.csv": "one"},
+    ),
     "what is not asked can be put right": Case(
         {"a.csv": text(FOUR, CELLS)}, {"a": {N: "leak [l/min]|"}}, {}, {"a.speed": "leak [l/min]"}
     ),
