@@ -57,7 +57,7 @@ EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns
 EXCEL_DAYS = "excel_days"
 """Days since 30 December 1899, a local time; kept to the millisecond, as spreadsheets keep it."""
 
-_DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
+_DIRECTIVES = frozenset("YymdHIMSfzpbBjaA%")
 
 
 def require_time_format(time_format: str) -> str:

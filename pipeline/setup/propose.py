@@ -24,7 +24,7 @@ from pipeline.ingest import time_span
 from pipeline.logs.dates import NEAR_DAYS, days_off
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
 from pipeline.setup.layouts import Kind, kinds_of
-from pipeline.setup.names import groups_of, is_in, unit_named, words_of
+from pipeline.setup.names import groups_of, is_in, meaning_of, unit_named, words_of
 from pipeline.setup.questions import Asked, Chooser
 from pipeline.setup.signals import (
     cells_of,
@@ -211,10 +211,12 @@ def _why_no_motor(table: Table) -> str:
                 "exported without them, the unit in the header"
             )
     columns = ", ".join(column.name for column in table.columns[:_SHOWN])
+    signals = [column for column in table.columns if column.kind == "number"]
     if any(is_in(words_of(column.name), "column", "statistic") for column in table.columns):
         columns += "; minima, maxima and deviations are no readings"
-    if columns and all(is_in(words_of(own.name), "column", "value") for own in table.columns):
-        columns += '; of a file a channel write layout = "file_per_channel" by hand'
+    is_value = [is_in(words_of(own.name), "column", "value") for own in table.columns]
+    if columns and (all(is_value) or any(meaning_of(c.name, c.unit).channel for c in signals)):
+        columns += '; of channels in files of their own write layout = "file_per_channel" by hand'
     return "; ".join((f"its columns are no motor's: {columns}", *unread_columns(table)[:_SHOWN]))
 
 

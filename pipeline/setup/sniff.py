@@ -327,10 +327,15 @@ def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[
             batch.validate(full=True)
             table = flat(pa.Table.from_batches([batch]))
             yield [
-                (field, decoded(path, field.name, values.combine_chunks()))
+                (field, _narrow(decoded(path, field.name, values.combine_chunks())))
                 for field, values in zip(table.schema, table.columns, strict=True)
                 if table.schema.names.count(field.name) == 1
             ]
+
+
+def _narrow(values: pa.Array) -> pa.Array:
+    """Return values as Polars can have them, which knows no decimals of 256 bits."""
+    return values.cast(pa.float64()) if pa.types.is_decimal256(values.type) else values
 
 
 def _unit_of(field: pa.Field) -> str:

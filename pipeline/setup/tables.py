@@ -325,6 +325,8 @@ def timed(table: Table, path: Path, answer: str = "") -> Table:
             if column.kind == "number" and is_time and (form := count_format(known)):
                 times, formats = [column], TimeFormats({form: ""}, form in EPOCH_UNITS)
                 break
+        else:
+            _require_time(table, times, path)
     logs, names = dict(table.logs), [column.name for column in times]
     logs |= dict(zip(("time", "date_column"), names, strict=False))
     example = next((cell for own in times for cell in own.filled), "")
@@ -338,6 +340,14 @@ def timed(table: Table, path: Path, answer: str = "") -> Table:
         times=tuple(names),
         other_times=tuple(column.name for column in left if column.kind in TIMES),
     )
+
+
+def _require_time(table: Table, times: Sequence[Column], path: Path) -> None:
+    """Refuse a table without a column that may be of times, however they are written."""
+    if not any(column.kind in TIMES or is_time_name(column.name) for column in times):
+        shown = ", ".join(column.name for column in table.columns)
+        how = f"none of its columns has times such as 2026-01-02T21:30:00Z: {shown}"
+        raise LogError("log_time", path, "; ".join((how, *table.left_out)))
 
 
 def _is_half_of_day(column: Column) -> bool:
@@ -397,6 +407,8 @@ def set_formats(
     readings = formats.readings
     if not readings:
         text = f"how are its time stamps written ({example!r})? Day, hour and minute are needed"
+        if is_number(example):
+            text += f"; counts are read as {', '.join((*EPOCH_UNITS, EXCEL_DAYS))}, and no others"
         questions.append(Question("time_format", text))
     elif form := next(iter(readings)):
         logs["time_format"] = form

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from pipeline.config.dialect import EPOCH_UNITS
+from pipeline.config.dialect import EPOCH_UNITS, require_time_format
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.time_stamps import (
     TimeStamps,
@@ -106,6 +106,7 @@ def test_iso_8601_as_datetime_writes_it(
         ("%d-%b-%Y %H:%M:%S", "01-Mar-2025 06:00:00", 0),
         ("%d %B %Y %H:%M", "01 March 2025 06:00", 0),
         ("%Y-%j %H:%M:%S", "2025-060 06:00:00", 0),
+        ("%a %b %d %H:%M:%S %Y", "Sat Mar 01 06:00:00 2025", 0),
         ("%Y%m%d%H%M%S", "20250301060000", 0),
         ("%Y%m%d-%H%M%S.%f", "20250301-060000.000001", 1),
         ("%Y-%m-%d %H:%M:%S %z", "2025-03-01 07:00:00 +0100", 0),
@@ -116,6 +117,7 @@ def test_formats_mean_what_they_mean_to_python(time_format: str, text: str, offs
     moment = datetime.strptime(text, time_format)
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     assert us(moment) == T0_US + offset_us
+    assert require_time_format(time_format) == time_format
     stamps = read([f" {text} ", "?", None, text], time_format)
     assert stamps.time_us.tolist() == [T0_US + offset_us, 0, 0, T0_US + offset_us]
     assert stamps.readable.tolist() == [True, False, False, True]

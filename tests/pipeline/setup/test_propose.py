@@ -307,6 +307,8 @@ def test_what_is_proposed_and_asked(name: str, tmp_path: Path) -> None:
         (text("TagIndex,Value", "1,200.5", "2,45.5"), "TagIndex has numbers for the names"),
         (text(STATISTICS.replace("Avg", "Min"), f"{CELLS},{CELLS}"), "minima, maxima and"),
         (text("value", "1.5"), 'layout = "file_per_channel"'),
+        (text("dp_bar,n_rpm", "200.5,30.5"), 'layout = "file_per_channel"'),
+        (f"time,{FOUR}\n" + f"739984.5,{CELLS}\n" * 9, "counts are read as epoch_s,"),
         (text(FOUR, CELLS).replace("2026-01-13T", "").replace("Z,", ","), "written ('06:00:00')?"),
     ],
 )
@@ -378,6 +380,7 @@ def test_a_quality_in_any_usual_form_is_used(
     [
         ("notes.md", "", "log_empty"),
         ("a.csv", "time,dp,T\n", "log_not_readable"),
+        ("a.csv", "year,day,n_rpm\n" + "2026,2,30.5\n" * 9, "log_not_readable"),
         ("a.parquet", "PAR1 no more", "log_not_readable"),
     ],
 )

@@ -313,10 +313,10 @@ def test_a_scale_in_the_metadata_is_asked_for_and_truth_values_are_a_quality(
     stated = {"unit": "l/min", "scale": "0.01"}
     fields = [pa.field(name, pa.float64()) for name in ("dp_bar", "T_degC", "n_rpm")]
     fields = [pa.field("t", pa.timestamp("us")), *fields, pa.field("q", pa.int64(), True, stated)]
-    fields.append(pa.field("valid", pa.bool_()))
+    fields += [pa.field("valid", pa.bool_()), pa.field("level", pa.decimal256(40, 2))]
     columns = [
         pa.array(values, field.type)
-        for values, field in zip([*[[1, 2]] * 5, [True, False]], fields, strict=True)
+        for values, field in zip([*[[1, 2]] * 5, [True, False], [1, 2]], fields, strict=True)
     ]
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(columns, schema=pa.schema(fields)), sink)
