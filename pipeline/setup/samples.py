@@ -259,7 +259,8 @@ def _rises(value: Array) -> bool:
 def temperature_jumps(log: RawChannel) -> Iterator[str]:
     """Yield that the oil's temperature jumps between neighbours."""
     low, high = FALLBACK_VALID_RANGE["oil_temperature"]
-    rows = np.flatnonzero((log.value >= low) & (log.value <= high))
+    is_bad = False if log.bad_quality is None else log.bad_quality
+    rows = np.flatnonzero((log.value >= low) & (log.value <= high) & np.logical_not(is_bad))
     time_us, value = log.time_us[rows], log.value[rows]
     is_near = np.abs(np.diff(time_us)) <= NEIGHBOURS_S * SECOND_US
     steps = np.where(is_near, np.abs(np.diff(value)), 0.0)

@@ -248,7 +248,7 @@ def _quality(column: Column) -> Quality:
 
 def _is_whole(column: Column) -> bool:
     base = _base(column.name)
-    is_of_row = all(is_in([word], "quality", "row") for word in base)
+    is_of_row = all(is_in([word], "quality", "row") or _is_quality([word]) for word in base)
     return bool(quality_words(column.name)) and is_of_row
 
 

@@ -343,6 +343,8 @@ def test_an_answer_that_cannot_be(answer: str, tmp_path: Path) -> None:
         ("{}", "{place}_quality", "192", "0"),
         ("{}", "{place}_Questionable", "False", "True"),
         ("{}", "Simulated", "0", "1"),
+        ("{}", "is_bad", "False", "True"),
+        ("{}", "quality_ok", "True", "False"),
         ("{}", "Quality", "Good", "Bad"),
         ("long", "Quality", "Good", "Bad"),
         ("long", "Validity", "1", "0"),
