@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import shutil
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 import pytest
+import typer.main
 from hypothesis import settings
 
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
@@ -23,6 +25,9 @@ settings.register_profile("quick", deadline=None, max_examples=20)
 # Where the system has Python write no bytecode, each process would compile the program anew.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# Each call of the command in this process would make it anew of its functions.
+typer.main.get_command = functools.cache(typer.main.get_command)
 
 # Sums as a run makes them: in threads, many small products wait for one another.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"

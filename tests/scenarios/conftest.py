@@ -2,64 +2,87 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
-from pipeline.demo.fleet import PISTON, SLEEVE, Plan
+from pipeline.demo.fleet import (
+    DEMO_FLEET,
+    PISTON,
+    SLEEVE,
+    DemoNight,
+    Plan,
+    record_night,
+    truth_document,
+)
+from pipeline.demo.writing import write_log
 from tests.conftest import made_once
-from tests.scenarios import command
+from tests.scenarios.command import CALLS, run_command
 from tests.scenarios.covering import declared_by, items_of
 from tests.scenarios.fleets import DAY, FIRST, ScenarioFleet, Simulated, make_fleet, ramp, step
 
-# Of the demo's nights those are fitted that show all wear from its begin on.
+# Of the demo's nights those are made and fitted that show all wear from its begin on.
 DEMO_NIGHTS, FIRST_FITTED = 54, 16
 
 
 @pytest.fixture(autouse=True)
 def _declared(request: pytest.FixtureRequest) -> Iterator[None]:
     """What a scenario declares it has run, and read more of it than an exit code."""
-    command.CALLS.clear()
+    CALLS.clear()
     yield
-    done = {item for call in command.CALLS if call.is_examined for item in items_of(call)}
+    done = {item for call in CALLS if call.is_examined for item in items_of(call)}
     left = declared_by(request.function) - done
     assert not left, f"declared, but not run, or nothing of it read: {sorted(left)}"
 
 
 @pytest.fixture(scope="session")
 def _demo(shared_folder: Path) -> ScenarioFleet:
+    plan = Plan(DEMO_NIGHTS, 30.0, 1.0, 1, FIRST)
+
     def make(folder: Path) -> None:
         shutil.copytree(shipped_configs(), folder / "configs")
         for file in (folder / "configs" / "motors").iterdir():  # MCAP takes long to write
             file.write_text(file.read_text("utf-8").replace("mcap", "parquet"), "utf-8")
-        extent = ("--nights", DEMO_NIGHTS, "--minutes", 30, "--rate", 1)
-        for words in (
-            ("demo", ".", *extent, "--last-night", FIRST + (DEMO_NIGHTS - 1) * DAY),
-            ("fit-fleet", "configs/fleet.toml", "--since", FIRST + (FIRST_FITTED - 1) * DAY),
-            ("report", "configs/fleet.toml", "--nights", 1),
-        ):
-            done = command.run_command(*words, folder=folder, process=words[0] != "report")
+        specs = load_fleet(folder / "configs" / "fleet.toml").motor
+        nights = [
+            DemoNight(motor, specs(motor.motor_id), plan, number)
+            for motor in DEMO_FLEET
+            for number in range(FIRST_FITTED, DEMO_NIGHTS + 1)
+        ]
+        for night in nights:
+            motor = night.spec.file
+            logs = folder / "demo" / "logs" / motor.motor_id
+            logs.mkdir(parents=True, exist_ok=True)
+            log = logs / f"{motor.motor_id}_{night.label}.{motor.logs.format}"
+            write_log(log, record_night(night), motor)
+        truth = json.dumps(truth_document(plan, nights))
+        (folder / "demo" / "truth.json").write_text(truth, "utf-8")
+        for command, *more in (("fit-fleet",), ("report", "--nights", 1)):
+            words = (command, "configs/fleet.toml", *more)
+            done = run_command(*words, folder=folder, process=command != "report")
             assert done.code == 0, done.err
 
     folder = made_once(shared_folder / "scenario-demo", make)
-    return ScenarioFleet(folder, {}, Plan(DEMO_NIGHTS, 30.0, 1.0, 1, FIRST), "demo/logs")
+    return ScenarioFleet(folder, {}, plan, "demo/logs")
 
 
 @pytest.fixture(scope="session")
 def demo(_demo: ScenarioFleet) -> ScenarioFleet:
-    """The demo: `demo` and `fit-fleet` as processes, then `report`; only to be read."""
+    """The demo: `fit-fleet` as a process, then `report`; only to be read."""
     return _demo
 
 
-# A healthy motor, a sleeve that is damaged at once, balance pistons that wear; in three formats,
-# two motors on one oil circuit.
+# A healthy motor, a sleeve that is damaged at once, balance pistons that wear; two motors on one
+# oil circuit. None is in MCAP, which takes long to write.
 PLANT = (
     Simulated("calm", format="csv", circuit="press"),
-    Simulated("broken", step(SLEEVE, at=14, gap=0.15), format="parquet"),
-    Simulated("worn", ramp(PISTON, begin=11, end=20, gap=0.25), format="mcap", circuit="press"),
+    Simulated("broken", step(SLEEVE, at=14, gap=0.15)),
+    Simulated("worn", ramp(PISTON, begin=11, end=20, gap=0.25), circuit="press"),
 )
 
 

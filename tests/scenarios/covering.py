@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 from tests.scenarios.command import Result, run_command
@@ -39,6 +40,7 @@ def items_of(call: Result) -> set[Item]:
     return set(_items(call.arguments))
 
 
+@cache
 def all_items() -> set[Item]:
     """Every command and option that `--help` names, from the top down."""
     return set(_of_help(()))

@@ -26,7 +26,7 @@ OF_RUNS = ("run_id",)
 def small(tmp_path: Path) -> ScenarioFleet:
     """Two motors, four nights, not fitted yet."""
     motors = (Simulated("A", format="csv"), Simulated("B"))
-    return make_fleet(tmp_path, *motors, nights=4, minutes=30.0)
+    return make_fleet(tmp_path, *motors, nights=4, minutes=20.0)
 
 
 def nights_of(fleet: ScenarioFleet) -> dict[str, list[int]]:
@@ -118,7 +118,7 @@ def test_a_damaged_log_fails_its_night_alone_until_it_is_sound(small: ScenarioFl
 
 def test_a_late_and_a_changed_log_leave_what_a_run_at_once_does(tmp_path: Path) -> None:
     """A night came late, and a night was half there at first."""
-    late = make_fleet(tmp_path / "late", nights=11, minutes=30.0)
+    late = make_fleet(tmp_path / "late", nights=10, minutes=20.0)
     once = late.copy(tmp_path / "once").fitted()
     moved, halved = late.log("M1", 4), late.log("M1", 9)
     contents = {path: path.read_bytes() for path in (moved, halved)}
@@ -126,8 +126,8 @@ def test_a_late_and_a_changed_log_leave_what_a_run_at_once_does(tmp_path: Path) 
     rows = pl.read_parquet(halved)
     rows[: rows.height // 2].write_parquet(halved)
     first = late.run("fit-fleet", "--json")
-    assert first.events("motor")[0]["nights"] == {"ok": 10, "no_new_data": 1}
-    assert "h of log, 0.5 h in the nights before" in late.nights("M1")[8]["log_note"]
+    assert first.events("motor")[0]["nights"] == {"ok": 9, "no_new_data": 1}
+    assert "h of log, 0.3 h in the nights before" in late.nights("M1")[8]["log_note"]
     for path, content in contents.items():
         path.write_bytes(content)
     second = late.run("fit-fleet", "--json")

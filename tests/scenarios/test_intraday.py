@@ -176,7 +176,7 @@ def test_too_few_nights_and_changed_settings_are_said(tmp_path: Path) -> None:
 
 
 @covers("look --motors")
-def test_motors_whose_rollers_scale_is_estimated_are_judged_in_every_format(
+def test_motors_whose_rollers_scale_is_estimated_are_judged(
     plant: ScenarioFleet,
 ) -> None:
     fits = plant.table("fits").filter(pl.col("is_primary")).sort("night")
@@ -187,6 +187,13 @@ def test_motors_whose_rollers_scale_is_estimated_are_judged_in_every_format(
         plant.write_night(motor, plant.plan.nights + 1, until=BREAK + 5, rise=0.3, rise_at=BREAK)
     done = plant.run("look", "--motors", "calm broken worn")
     assert "3 motors checked: 3 risen" in done.out, (free, done.out)
+
+
+@pytest.mark.full
+def test_a_growing_log_of_mcap_is_judged(tmp_path: Path) -> None:
+    fleet = make_fleet(tmp_path, format="mcap", nights=NIGHTS).fitted()
+    fleet.write_night("M1", TODAY, until=BREAK + 5, rise=0.3, rise_at=BREAK)
+    assert "1 motor checked: 1 risen" in fleet.run("look").out
 
 
 def check(folder: Path, _: Path) -> None:

@@ -17,12 +17,16 @@ from tests.scenarios.fleets import DAY, ScenarioFleet, Simulated, make_fleet
 STANDING = ("alarm", "warning")
 
 
+@pytest.fixture(scope="module")
+def _fitted(tmp_path_factory: pytest.TempPathFactory) -> ScenarioFleet:
+    motors = Simulated("A"), Simulated("B")
+    return make_fleet(tmp_path_factory.mktemp("small"), *motors, nights=2, minutes=20.0).fitted()
+
+
 @pytest.fixture
-def small(tmp_path: Path) -> ScenarioFleet:
-    """Two motors, three nights, fitted."""
-    return make_fleet(
-        tmp_path / "small", Simulated("A"), Simulated("B"), nights=3, minutes=30.0
-    ).fitted()
+def small(_fitted: ScenarioFleet, tmp_path: Path) -> ScenarioFleet:
+    """Two motors, two nights, fitted; to change at will."""
+    return _fitted.copy(tmp_path / "small")
 
 
 def nights(fleet: ScenarioFleet) -> pl.DataFrame:
@@ -30,7 +34,7 @@ def nights(fleet: ScenarioFleet) -> pl.DataFrame:
 
 
 def test_the_output_of_another_fleet_is_refused(small: ScenarioFleet, tmp_path: Path) -> None:
-    other = make_fleet(tmp_path / "other", Simulated("C"), nights=1, minutes=30.0)
+    other = make_fleet(tmp_path / "other", Simulated("C"), nights=1, minutes=20.0)
     before = nights(small)
     for name in ("Scenario", "Other"):  # other motors; another name
         other.config.write_text(other.config.read_text().replace("Scenario", name))
@@ -177,7 +181,7 @@ def test_a_change_that_waits_for_a_receiver_is_sent_once_under_the_new_name(
 def test_a_plant_without_a_new_night_is_stale_by_the_clock(tmp_path: Path) -> None:
     """Logs of weeks ago; a fleet of a past time is exempt by its config."""
     first = dt.datetime.now(dt.UTC).date() - 30 * DAY
-    fleet = make_fleet(tmp_path, nights=9, minutes=30.0, first_night=first)
+    fleet = make_fleet(tmp_path, nights=9, minutes=20.0, first_night=first)
     for live in (False, True):
         if live:
             fleet.change("fleet.toml", "live = false\n", "")
