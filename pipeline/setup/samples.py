@@ -48,9 +48,11 @@ FEWEST_STRETCHES, BEYOND_SPREADS, SPREAD = 3, 1.5, (0.02, 0.98)
 JUMP_C, NEIGHBOURS_S, FEWEST_JUMPS = 5.0, 10.0, 3
 # Nor does it change by so much in so large a share of its samples.
 RESTLESS_C, RESTLESS_SHARE = 2.0, 0.02
-# A rule that refuses more of a channel's samples than this has no log of single faults before it.
-MOST_REFUSED = {"out_of_range": 0.1, "bad_quality": 0.5, "not_finite": 0.5}
-MOST_MISPLACED = 0.1
+# A rule that refuses more of a channel's samples than this has no log of single faults before it;
+# of a small flow, noise alone is below 0 for a part of the time.
+MOST_REFUSED, MOST_OUT_OF_RANGE = 0.5, 0.1
+# A clock that is set back an hour in a short log is an event, and no form of the log.
+MOST_MISPLACED = {"duplicate_time": 0.1, "backward_time": 0.4}
 # What cannot be read is rarely lost at random: it is the largest readings, a direction, the hours
 # after a change of the logger.
 MOST_UNREAD = 0.01
@@ -143,15 +145,18 @@ def _channel_check(name: str, unit: str, clean: CleanChannel) -> ChannelCheck:
 
 def mostly_refused(channels: Sequence[ChannelCheck]) -> Iterator[str]:
     """Yield faults of channels of which a rule refuses many samples."""
-    for reason, limit in MOST_REFUSED.items():
+    for reason in ("out_of_range", "bad_quality", "not_finite"):
         shares = {channel.channel: channel.refused_by.get(reason, 0.0) for channel in channels}
-        if most := [name for name, share in shares.items() if share > limit]:
-            yield _refused(max(shares.values()), most, reason)
+        limits = dict.fromkeys(shares, MOST_REFUSED)
+        if reason == "out_of_range":
+            limits = {**dict.fromkeys(shares, MOST_OUT_OF_RANGE), COUNTED: MOST_REFUSED}
+        if most := {name: share for name, share in shares.items() if share > limits[name]}:
+            yield _refused(max(most.values()), list(most), reason)
 
 
 def misplaced(channels: Mapping[str, RawChannel]) -> dict[str, str]:
     """Return faults of a night many of whose stamps go back, or are another reading's, too."""
-    shares: dict[str, dict[str, float]] = {"duplicate_time": {}, "backward_time": {}}
+    shares = {reason: dict[str, float]() for reason in MOST_MISPLACED}
     for name, raw in channels.items():
         rows = np.flatnonzero(~raw.missing)
         time_us, value = raw.time_us[rows], raw.value[rows]
@@ -166,7 +171,7 @@ def misplaced(channels: Mapping[str, RawChannel]) -> dict[str, str]:
     time_us = channels["speed"].time_us
     faults = dict[str, str]()
     for reason, by_name in shares.items():
-        if most := [name for name, share in by_name.items() if share > MOST_MISPLACED]:
+        if most := [name for name, share in by_name.items() if share > MOST_MISPLACED[reason]]:
             is_turned = reason == "backward_time" and np.mean(np.diff(time_us) < 0) > 0.5
             how = "its rows are newest first: have them written oldest first" if is_turned else ""
             read = f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"

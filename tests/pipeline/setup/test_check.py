@@ -290,9 +290,12 @@ def test_rows_that_order_leaves_out_are_a_fault(
     assert list(misplaced({"speed": speed})) == reasons
 
 
-@pytest.mark.parametrize(("share", "n_faults"), [(0.06, 0), (0.18, 1)])
-def test_a_direction_out_of_range_is_a_fault(share: float, n_faults: int) -> None:
-    check = ChannelCheck("speed", "rpm", 900, 1.0, 9.0, 0.0, share, {"out_of_range": share})
+@pytest.mark.parametrize(
+    ("name", "share", "n_faults"),
+    [("speed", 0.06, 0), ("speed", 0.18, 1), ("leakage_flow", 0.18, 0)],
+)
+def test_a_direction_out_of_range_is_a_fault(name: str, share: float, n_faults: int) -> None:
+    check = ChannelCheck(name, "rpm", 900, 1.0, 9.0, 0.0, share, {"out_of_range": share})
     assert len([*mostly_refused([check])]) == n_faults
 
 
