@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import stat
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,6 +103,10 @@ def spanned(
             # The ends of the file are no measure of it, so all of it is.
             return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
     except LogError as error:
+        if error.code == "log_empty":
+            # One without a row is as good as any; one without a byte is not.
+            with suppress(LogError):
+                return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
         return failed(record, error)
     nights = spec.settings.nights
     labels = nights_between(night_of(first, nights), night_of(last, nights))

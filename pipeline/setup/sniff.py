@@ -303,8 +303,9 @@ def _parquet(path: Path) -> Table:
         shown = ", ".join(f"{name} ({kind})" for name, kind in apart.items())
         message = f"its time is apart, in {shown}: have a single column of timestamps written"
         raise LogError("log_time", path, message)
-    if not columns:
-        raise LogError("log_empty", path, "the file has no columns that can be read")
+    if not columns or not len(leaves[0][1]):
+        what = "rows" if columns else "columns that can be read"
+        raise LogError("log_empty", path, f"the file has no {what}")
 
     def rows(wanted: Sequence[str]) -> Rows:
         """The first rows of each text in the first of the columns, piece by piece."""

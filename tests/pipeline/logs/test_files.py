@@ -168,7 +168,9 @@ def test_only_nights_with_samples_count(spec: MotorSpec, tmp_path: Path) -> None
     assert len(inspected(path, spec).nights) == 10
     assert fully_read(path, spec).nights == ("2026-01-02", "2026-01-11")
     empty = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0), spec)
-    assert (empty.nights, empty.message) == ((), "no samples")
+    header = inspected(write(tmp_path / "b.csv", []), spec)
+    for record in (empty, header):
+        assert (record.status, record.nights, record.message) == ("ok", (), "no samples")
 
 
 def test_what_was_left_out(spec: MotorSpec, tmp_path: Path) -> None:
