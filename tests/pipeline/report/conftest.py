@@ -18,11 +18,15 @@ from pipeline.schema import TABLES
 from pipeline.store.tables import read_table
 from tests.conftest import made_once
 from tests.pipeline.written import write_table
+from tests.scenarios.command import run_command
+from tests.scenarios.conftest import PLANT, fitted_once
+from tests.scenarios.fleets import ScenarioFleet
 
 if TYPE_CHECKING:
     from selenium.webdriver import Chrome
 
 BY_NAME = {table.name: table for table in TABLES}
+NOTE = "new sleeves <b>are ordered</b>"
 Change = Callable[[pl.DataFrame], pl.DataFrame]
 
 
@@ -103,8 +107,14 @@ def browser(chromium: Chrome) -> Iterator[Chrome]:
 
 
 @pytest.fixture(scope="session")
-def judged(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of a fleet with a worn, a healthy, a one-pressure and young motors."""
-    from tests.pipeline.report.judged import judged_report
-
-    return judged_report(fitted_output, tmp_path_factory.mktemp("told"))
+def judged(shared_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ScenarioFleet:
+    """The scenarios' plant with a report of three nights, after the broken motor was opened."""
+    plant = fitted_once(shared_folder / "scenario-plant", PLANT, 20)
+    plant = plant.copy(tmp_path_factory.mktemp("judged"))
+    opened = ("--opened", "2026-01-21", "--worn", "balance_sleeve", "--sound", "piston_ring")
+    for words in (("--note", "scored", *opened), ("--note", NOTE)):
+        assert plant.run("ack", "broken", *words).code == 0
+    plant.append("fleet.toml", '[nights]\ntime_zone = "Europe/Stockholm"')
+    words = ("report", "configs/fleet.toml", "--nights", 3)
+    assert run_command(*words, folder=plant.folder).code == 0
+    return plant

@@ -21,23 +21,15 @@ from selenium.webdriver.support.ui import Select
 from pipeline.config.motors import Event
 from pipeline.report.build import build_report
 from tests.pipeline.report.browser import complaints, drawn, needs_browser, shown, text, visit, wait
-from tests.pipeline.report.conftest import BY_NAME, change_table, demo_fleet
-from tests.pipeline.report.judged import (
-    ADVICE,
-    HEADLINE,
-    HEALTHY,
-    NIGHTS,
-    NOTE,
-    REASON,
-    WORN,
-    YOUNG,
-    publish_latest,
-)
+from tests.pipeline.report.conftest import BY_NAME, NOTE, change_table, demo_fleet
+from tests.scenarios.fleets import ScenarioFleet
 
 pytestmark = needs_browser
 
-MOTORS = 6
+NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
+WORN = "broken"
 PAGES = ("index.html", f"motors/{WORN}.html", "glossary.html")
+LEAKAGE = "own_leakage_l_per_min"
 NIGHT = "return document.body.dataset.night"
 # Within the width of a scroll bar.
 FILLED = """
@@ -49,28 +41,33 @@ return Math.abs(plot.clientWidth - plot.querySelector('.main-svg').clientWidth) 
 # The fleet
 
 
+def page_of(judged: ScenarioFleet, name: str = "index") -> Path:
+    return judged.output / "report" / f"{name}.html"
+
+
 def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
-    browser: Chrome, judged: Path
+    browser: Chrome, judged: ScenarioFleet
 ) -> None:
-    visit(browser, judged / "index.html")
-    every = shown(browser)
-    assert len(every) == MOTORS
-    assert every[0] == WORN
-    (entry,) = browser.find_elements(By.CSS_SELECTOR, ".attention li")
-    assert f"alarm\n{WORN}\n{HEADLINE} {ADVICE}" in entry.text
+    visit(browser, page_of(judged))
+    newest = judged.newest(WORN)
+    assert shown(browser) == ["worn", WORN, "calm"]
+    (entry,) = (
+        entry
+        for entry in browser.find_elements(By.CSS_SELECTOR, ".attention li")
+        if f"warning\n{WORN}\n" in entry.text
+    )
+    assert newest["advice"] in entry.text
     assert f"Acknowledged: {NOTE}" in entry.text
-    # A state has its words beside it, and old data are marked: 11 UTC is noon in the fleet's zone.
-    cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")
-    assert cells[0].text == f"alarm\n{ADVICE}"
-    assert "insufficient\n3 of 8 nights. Wait." in [cell.text for cell in cells]
+    # A state has its words beside it, and old data are marked, in the fleet's zone.
+    cell = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(2)")[1]
+    assert cell.text == f"warning\n{newest['advice']}"
     old = [element.text for element in browser.find_elements(By.CSS_SELECTOR, "time.old")]
-    assert old[0].startswith("2026-01-05 12:00 (")
+    assert old[0].startswith("2026-01-20 23:09\n(")
     assert old[0].endswith(" days ago)")
-    assert len(old) == 1 + MOTORS
     find = browser.find_element(By.ID, "find")
-    find.send_keys("cb560 insufficient")
-    assert shown(browser) == ["CB560-02"]
-    assert browser.find_element(By.ID, "shown").text == f"1 of {MOTORS} shown"
+    find.send_keys("cb400 calm")
+    assert shown(browser) == ["calm"]
+    assert browser.find_element(By.ID, "shown").text == "1 of 3 shown"
     # Who is searched for leaves the others above the table, too.
     assert not entry.is_displayed()
     browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
@@ -78,18 +75,19 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
     header = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th")[3]
     assert header.text.startswith("Leakage at its usual operating point")
     button = header.find_element(By.TAG_NAME, "button")
-    for keys, order in ((Keys.ENTER, [WORN, HEALTHY]), (Keys.SPACE, [HEALTHY, WORN])):
+    by_leakage = sorted(judged.motors, key=lambda name: judged.newest(name)[LEAKAGE])
+    for keys, order in ((Keys.ENTER, by_leakage[::-1]), (Keys.SPACE, by_leakage)):
         button.send_keys(keys)
-        # What is absent comes last, whichever way.
-        assert shown(browser)[:2] == order
+        assert shown(browser) == order
     assert header.get_dom_attribute("aria-sort") == "ascending"
-    find.send_keys("cb")
+    find.send_keys("warning")
     # The page's own word: the browser's address follows a moment later.
     address = browser.execute_script("return location.hash")
     seen = shown(browser)
-    visit(browser, judged / "index.html", address)
+    assert len(seen) == 2
+    visit(browser, page_of(judged), address)
     assert shown(browser) == seen
-    visit(browser, judged / "index.html", "#find=none&sort=99%20up&type=%E0<b>")
+    visit(browser, page_of(judged), "#find=none&sort=99%20up&type=%E0<b>")
     assert shown(browser) == []
     assert browser.find_element(By.ID, "nothing").is_displayed()
 
@@ -97,9 +95,12 @@ def test_motors_are_searched_and_sorted_and_both_stand_in_the_address(
 # A motor
 
 
-def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, judged: Path) -> None:
-    visit(browser, judged / "motors" / f"{WORN}.html")
+def test_every_chart_is_drawn_before_it_is_scrolled_to(
+    browser: Chrome, judged: ScenarioFleet
+) -> None:
+    visit(browser, page_of(judged, f"motors/{WORN}"))
     wait(browser, NIGHT)
+    newest = judged.newest(WORN)
     # The leakage has three of five: on the right the axis of l/min, and one of the marks.
     for name, n_panels in (("course", 5), ("samples", 4), ("residuals", 4)):
         chart = browser.find_element(By.ID, name)
@@ -112,19 +113,16 @@ def test_every_chart_is_drawn_before_it_is_scrolled_to(browser: Chrome, judged: 
     wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
     assert {button.get_dom_attribute("data-title") for button in buttons} == wanted
     assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
-    assert HEADLINE in browser.find_element(By.ID, "headline").text
-    assert f"L{REASON[1:]}." in browser.find_element(By.ID, "sentence").text
-    aside = browser.find_element(By.TAG_NAME, "aside").text
-    for words in ("balance sleeve 95 %", "0.40, model supported"):
-        assert words in aside
-    assert browser.find_element(By.CSS_SELECTOR, ".marks").text.splitlines() == [
-        "2026-01-04 alarm",
-        "2026-01-05 change detected: balance sleeve",
-    ]
-    changed = browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr")
-    assert "leakage ok alarm +21 % [17, 25], balance sleeve" in " ".join(changed.text.split())
-    changed.find_element(By.TAG_NAME, "summary").click()
-    assert REASON in changed.text
+    assert newest["sentence"][1:] in browser.find_element(By.ID, "sentence").text
+    headline = browser.find_element(By.ID, "headline").text
+    assert f" since 15 January 2026, balance sleeve. {newest['advice']}" in headline
+    assert "balance sleeve > 99 %" in browser.find_element(By.TAG_NAME, "aside").text
+    alarm = judged.table("alarms").filter(motor_id=WORN, to_state="warning").row(0, named=True)
+    marks = browser.find_element(By.CSS_SELECTOR, ".marks").text.splitlines()
+    assert f"{alarm['night']} change detected: balance sleeve" in marks
+    changed = browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr").text
+    assert f"{alarm['night']} leakage ok warning" in changed
+    assert alarm["sentence"] in changed
     decided = browser.find_element(By.ID, "decision-table").text
     for words in (NOTE, "Worn: balance sleeve. Sound: piston ring."):
         assert words in decided
@@ -166,10 +164,12 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     assert marked == [NIGHTS[0]]
 
 
-def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(browser: Chrome, judged: Path) -> None:
-    # The fullest page, and that of a motor of which little is known.
-    for motor in (WORN, YOUNG[0]):
-        page = judged / "motors" / f"{motor}.html"
+def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(
+    browser: Chrome, judged: ScenarioFleet
+) -> None:
+    # The fullest page, and that of a motor to which nothing has happened.
+    for motor in (WORN, "calm"):
+        page = page_of(judged, f"motors/{motor}")
         visit(browser, page)
         drawn(browser)
         asked = {"preferCSSPageSize": True}
@@ -182,7 +182,8 @@ def test_a_motor_s_page_prints_as_a_work_order_on_one_sheet(browser: Chrome, jud
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
         parts = [element.text for element in sheet.find_elements(By.CSS_SELECTOR, "tbody th")]
         assert parts == ["piston ring", "balance piston", "balance sleeve", "cam roller"]
-        for words in ("Not opened", "Measured gap", "Signature", f"ack fleet.toml {page.stem}"):
+        command = f"ack configs/fleet.toml {page.stem}"
+        for words in ("Not opened", "Measured gap", "Signature", command):
             assert words in sheet.text
         assert browser.find_element(By.ID, "headline").is_displayed()
         assert browser.find_element(By.ID, "course").is_displayed()
@@ -194,45 +195,46 @@ RANGE = "return document.querySelector('#course .plot').layout.xaxis.range[0].sl
 
 
 def test_a_range_of_nights_stands_in_the_address_and_a_night_without_a_file_says_so(
-    browser: Chrome, judged: Path, tmp_path: Path
+    browser: Chrome, judged: ScenarioFleet, tmp_path: Path
 ) -> None:
-    page = tmp_path / "report" / "motors" / f"{WORN}.html"
-    shutil.copytree(judged, tmp_path / "report")
-    # As of a motor with more nights than these three.
+    page, (*_, earlier, last) = tmp_path / "motors" / f"{WORN}.html", judged.nights(WORN)
+    nights = [str(row["night"]) for row in (earlier, last)]
+    shutil.copytree(judged.output / "report", tmp_path, dirs_exist_ok=True)
+    # As of a motor with more nights than these twenty.
     content = page.read_text("utf-8")
-    page.write_text(content.replace('"ranges":{', '"ranges":{"30":["2026-01-03","2026-01-04"],'))
+    page.write_text(content.replace('"ranges":{', '"ranges":{"30":["2026-01-12","2026-01-21"],'))
     visit(browser, page)
     drawn(browser)
     assert browser.execute_script(RANGE) < NIGHTS[0]
     browser.find_element(By.CSS_SELECTOR, "[data-range='30']").click()
-    wait(browser, f"{RANGE} === '2026-01-03'")
+    wait(browser, f"{RANGE} === '2026-01-12'")
     assert browser.execute_script("return location.hash") == "#range=30"
-    visit(browser, page, f"#{NIGHTS[1]}&range=30")
-    assert (wait(browser, NIGHT), browser.execute_script(RANGE)) == (NIGHTS[1], "2026-01-03")
+    visit(browser, page, f"#{nights[0]}&range=30")
+    assert (wait(browser, NIGHT), browser.execute_script(RANGE)) == (nights[0], "2026-01-12")
     assert not browser.find_element(By.CSS_SELECTOR, "[data-range='365']").is_enabled()
     assert complaints(browser) == []
     # A night whose file was not copied says so.
-    (tmp_path / "report" / "data" / WORN / f"{NIGHTS[2]}.js").unlink()
+    (tmp_path / "data" / WORN / f"{nights[1]}.js").unlink()
     browser.find_element(By.ID, "later").click()
-    wait(browser, f"{NIGHT} === '{NIGHTS[2]}'")
-    assert f"{NIGHTS[2]}.js is not there" in text(browser, "#words")
-    assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
+    wait(browser, f"{NIGHT} === '{nights[1]}'")
+    assert f"{nights[1]}.js is not there" in text(browser, "#words")
+    assert f"{nights[1]}.js" in complaints(browser)[0]
 
 
-def test_motors_are_drawn_in_one_chart_as_they_are_searched(browser: Chrome, judged: Path) -> None:
-    visit(browser, judged / "index.html", "#find=cb560&chart=all")
+def test_motors_are_drawn_in_one_chart_as_they_are_searched(
+    browser: Chrome, judged: ScenarioFleet
+) -> None:
+    visit(browser, page_of(judged), "#find=warning&chart=all")
     drawn_motors = "return document.getElementById('overlay').dataset.drawn"
     wait(browser, f"{drawn_motors} === '2'")
     browser.find_element(By.CSS_SELECTOR, "[type=reset]").click()
-    wait(browser, f"{drawn_motors} === '{MOTORS}'")
+    wait(browser, f"{drawn_motors} === '3'")
     browser.find_element(By.CSS_SELECTOR, "[data-range='90']").click()
     assert "chart=90" in browser.execute_script("return location.hash")
 
 
-def test_the_command_that_acknowledges_is_filled_in(browser: Chrome, output: Path) -> None:
-    publish_latest(output)
-    build_report(demo_fleet(output, WORN), output / "report", config="my/fleet.toml")
-    visit(browser, output / "report" / "motors" / f"{WORN}.html")
+def test_the_command_that_acknowledges_is_filled_in(browser: Chrome, judged: ScenarioFleet) -> None:
+    visit(browser, page_of(judged, "motors/worn"))
     drawn(browser)
     browser.find_element(By.CSS_SELECTOR, "details summary").click()
     browser.find_element(By.NAME, "note").send_keys("the customer's rings")
@@ -241,7 +243,7 @@ def test_the_command_that_acknowledges_is_filled_in(browser: Chrome, output: Pat
     wait(browser, "return document.getElementById('copied').textContent")
     command = shlex.split(str(browser.execute_script("return getSelection().toString()")))
     assert command == [
-        *("motor-leakage", "ack", "my/fleet.toml", WORN),
+        *("motor-leakage", "ack", "configs/fleet.toml", "worn"),
         *("--note", "the customer's rings", "--finding", "confirmed"),
     ]
 
@@ -335,7 +337,7 @@ return [...document.querySelectorAll('.modebar')].flatMap((bar) => {
 # Rows that are high, and what is wider than its place.
 HIGH = """
 return [...document.querySelectorAll('tbody tr, .attention li')]
-  .filter((row) => row.checkVisibility() && row.getBoundingClientRect().height > 120)
+  .filter((row) => row.checkVisibility() && row.getBoundingClientRect().height > 160)
   .map((row) => row.textContent);
 """
 WIDE = """
@@ -346,14 +348,14 @@ return [document.documentElement, ...document.querySelectorAll('.scroll, table, 
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_a_telephone_a_tablet_and_a_desk(browser: Chrome, judged: Path, page: str) -> None:
+def test_a_telephone_a_tablet_and_a_desk(browser: Chrome, judged: ScenarioFleet, page: str) -> None:
     """Nothing is wider than its screen, nothing lies on another, no row is high."""
     size = {"height": 1000, "deviceScaleFactor": 1, "mobile": False}
     for place, width in enumerate((390, 768, 1280)):
         resized = {"width": width, **size}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", resized)
         if not place:
-            visit(browser, judged / page)
+            visit(browser, judged.output / "report" / page)
         if page == PAGES[1]:
             drawn(browser)
             wait(browser, FILLED)
@@ -364,8 +366,9 @@ def test_a_telephone_a_tablet_and_a_desk(browser: Chrome, judged: Path, page: st
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_without_scripts_the_pages_say_so_and_hold_the_figures(judged: Path) -> None:
-    for page, words in zip(PAGES[:2], (HEADLINE, REASON[1:]), strict=True):
-        content = (judged / page).read_text("utf-8")
+def test_without_scripts_the_pages_say_so_and_hold_the_figures(judged: ScenarioFleet) -> None:
+    newest = judged.newest(WORN)
+    for page, words in zip(PAGES[:2], (newest["advice"], newest["sentence"][1:]), strict=True):
+        content = (judged.output / "report" / page).read_text("utf-8")
         assert "need JavaScript" in content.partition("<noscript>")[2].partition("</noscript>")[0]
         assert words in re.sub(r"<script.*?</script>", "", content, flags=re.DOTALL)
