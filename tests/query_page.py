@@ -34,13 +34,12 @@ def questions() -> dict[int, tuple[str, tuple[str, ...]]]:
     }
 
 
-def answer(query: str) -> pl.DataFrame:
-    """Answer a query on the tables in `out/tables` of the folder in which we are."""
-    with duckdb.connect(config={"threads": 1}) as connection:
-        connection.execute("SET file_search_path = 'out'")
-        connection.execute(Path("out/views.sql").read_text("utf-8"))
-        rows: pl.DataFrame = connection.sql(query).pl()
-        return rows
+def views() -> duckdb.DuckDBPyConnection:
+    """The tables in `out/tables` of the folder in which we are."""
+    connection = duckdb.connect(config={"threads": 1})
+    connection.execute("SET file_search_path = 'out'")
+    connection.execute(Path("out/views.sql").read_text("utf-8"))
+    return connection
 
 
 def _shown(rows: pl.DataFrame) -> str:
@@ -61,10 +60,11 @@ def _cell(value: object) -> str:
 def main(folder: Path) -> None:
     """Write the answers into the page."""
     text = PAGE.read_text("utf-8")
-    with contextlib.chdir(folder):
+    with contextlib.chdir(folder), views() as tables:
         for found in QUESTION.finditer(text):
             whole, shown = found[0], found[3]
-            text = text.replace(whole, whole.removesuffix(shown) + _shown(answer(found[2])))
+            answer = _shown(tables.sql(found[2]).pl())
+            text = text.replace(whole, whole.removesuffix(shown) + answer)
     PAGE.write_text(text.rstrip() + "\n", "utf-8")
 
 

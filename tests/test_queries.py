@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import re
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from pipeline.schema import ERROR_BUDGET, LATEST, NIGHTS, QUALITY, TRENDS, Table
 from pipeline.store.publishing import write_views
 from pipeline.store.tables import whole_file
 from tests.pipeline.written import write_nights, write_table
-from tests.query_page import PAGE, answer, questions
+from tests.query_page import PAGE, questions, views
 
 Rows = list[dict[str, Any]]
 
@@ -93,38 +94,40 @@ def history(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return output.parent
 
 
+@pytest.fixture(scope="module")
+def answers(history: Path) -> dict[int, pl.DataFrame]:
+    """The answer to each question."""
+    with chdir(history), views() as tables:
+        return {number: tables.sql(query).pl() for number, (query, _) in QUESTIONS.items()}
+
+
 @pytest.fixture
-def ask(history: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.chdir(history)
-    return lambda number: answer(QUESTIONS[number][0]).to_dicts()
+def ask(answers: dict[int, pl.DataFrame]) -> Any:
+    return lambda number: answers[number].to_dicts()
 
 
-@pytest.mark.parametrize("number", QUESTIONS)
-def test_the_page_shows_the_columns_of_the_answer(
-    number: int, history: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_page_has_the_questions_in_order_with_the_columns_of_their_answers(
+    answers: dict[int, pl.DataFrame],
 ) -> None:
-    monkeypatch.chdir(history)
-    query, columns = QUESTIONS[number]
-    found = answer(query)
-    assert tuple(found.columns) == columns
-    assert found.height > 0
-    assert len(set(re.findall(r"\b(?:FROM|JOIN) (\w+)", query))) == 1
-    assert number not in OF_ANALYSTS or query.count("\n") <= 8
-
-
-def test_page_has_the_questions_in_order() -> None:
     assert list(QUESTIONS) == list(range(1, 13))
+    for number, (query, columns) in QUESTIONS.items():
+        assert tuple(answers[number].columns) == columns
+        assert answers[number].height > 0
+        assert len(set(re.findall(r"\b(?:FROM|JOIN) (\w+)", query))) == 1
+        assert number not in OF_ANALYSTS or query.count("\n") <= 8
 
 
 @pytest.mark.parametrize("number", OF_ANALYSTS)
-def test_polars_gives_the_same(number: int, history: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polars_gives_the_same(
+    number: int, history: Path, answers: dict[int, pl.DataFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(history)
     section = PAGE.read_text("utf-8").split(f"\n## {number}. ")[1]
     code = section.split("```python\n")[1].split("```")[0]
     assert code.count("\n") <= 8
     names: dict[str, Any] = {"pl": pl}
     exec(code, names)  # noqa: S102 - of our own page
-    expected = answer(QUESTIONS[number][0])
+    expected = answers[number]
     found = names["answer"].select(expected.columns)
     assert found.height == expected.height
     same = found.join(expected, on=expected.columns[:1], how="full", coalesce=True)

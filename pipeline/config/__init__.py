@@ -18,7 +18,6 @@ from pipeline.config.settings import (
     SensorHealth,
     Settings,
     Smoothing,
-    TimeBase,
     TransportDelay,
     Windows,
 )
@@ -37,7 +36,6 @@ __all__ = [
     "SensorHealth",
     "Settings",
     "Smoothing",
-    "TimeBase",
     "TransportDelay",
     "Windows",
     "absolute",

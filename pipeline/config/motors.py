@@ -38,6 +38,8 @@ from pipeline.units import QUANTITIES, UNITS
 
 # Events behind which the motor is the same: its baseline and its change go on (model.md, 7c.6).
 CARRIED = ("oil_change", "meter_changed", "sensor_changed")
+# An estimated flushing is at most this, or four times what is stated of it.
+MOST_FLUSHING_L_PER_MIN = 20.0
 
 
 class Event(Section):
@@ -115,12 +117,8 @@ class FlushingTable(Section):
     """Other modes to fit beside the primary."""
     flow_l_per_min: NonNegative = 0.0
     """The fixed value, or the first starting point."""
-    maximum_l_per_min: NonNegative = 20.0
-    """Upper bound where estimated."""
 
     def misfits(self) -> Iterator[Misfit]:
-        if self.flow_l_per_min > self.maximum_l_per_min:
-            yield (), "expected flow_l_per_min <= maximum_l_per_min", None
         if len({self.mode, *self.also}) != 1 + len(self.also):
             yield (), "expected each mode once among mode and also", None
 
@@ -132,7 +130,8 @@ class FlushingTable(Section):
     def path(self, mode: str) -> Constant:
         """Return the flushing of a mode as a constant path."""
         flow = 0.0 if mode == "none" else self.flow_l_per_min
-        limits = (0.0, self.maximum_l_per_min) if mode == "estimated" else (flow, flow)
+        most = max(MOST_FLUSHING_L_PER_MIN, 4.0 * flow)
+        limits = (0.0, most) if mode == "estimated" else (flow, flow)
         return Constant(
             FLUSHING_PATH,
             Parameter(FLUSHING_PARAMETER, "l_per_min", flow, *limits, fixed=mode != "estimated"),

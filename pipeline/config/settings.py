@@ -16,14 +16,12 @@ from pipeline.config.section import (
     Misfit,
     NonNegative,
     Positive,
-    Seconds,
     Section,
     Stage,
     TimeZone,
     left_out,
 )
 
-Rate = Annotated[float, Field(gt=0, le=1000)]
 RelativeFolder = Annotated[str, Field(min_length=1)]
 # Length of a block of statistics: no moving average reaches beyond it [s].
 BLOCK_S = 120.0
@@ -47,26 +45,11 @@ class Nights(Section):
         return ZoneInfo(self.time_zone)
 
 
-class TimeBase(Section):
-    """The grid of time on which all channels of a motor's night are brought together."""
-
-    shapes = Stage.BLOCKS
-
-    rate_hz: Rate | None = None
-    """Samples a second; by default of the fastest channel, at most 10."""
-
-
 class Cleaning(Section):
     """Rules that refuse samples. The table `quality` counts each refusal."""
 
     shapes = Stage.BLOCKS
 
-    standstill_rpm: NonNegative = 0.5
-    """Below this |speed| the motor stands still."""
-    guard_before_s: Seconds = 10.0
-    """Time refused before a halt or back-flow."""
-    guard_after_s: Seconds = 30.0
-    """Time refused after a halt or back-flow."""
     warm_up_minutes: NonNegative = 0.0
     """Time refused after a start from a rest at least as long, while the oil in the case is not yet
     the oil at the sensor; 0: none."""
@@ -183,15 +166,6 @@ class ReferenceConditions(Section):
         )
 
 
-class Trend(Section):
-    """The motor against its own past: baseline, slope and time to limit."""
-
-    shapes = Stage.TRENDS
-
-    baseline_nights: int = Field(8, ge=8)
-    """Nights of a baseline, after which the watch begins."""
-
-
 class Folders(Section):
     """Folders; each is relative to the fleet file."""
 
@@ -246,7 +220,6 @@ class Settings(Section):
     shapes = Stage.NOTHING
 
     nights: Nights = left_out()
-    time_base: TimeBase = left_out()
     cleaning: Cleaning = left_out()
     transport_delay: TransportDelay = left_out()
     smoothing: Smoothing = left_out()
@@ -254,7 +227,6 @@ class Settings(Section):
     model: Model = left_out()
     reference: ReferenceConditions = left_out()
     sensor_health: SensorHealth = left_out()
-    trend: Trend = left_out()
     alarms: Alarms = left_out()
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
-from pipeline.config import Channel, Cleaning
+from pipeline.config import Channel
 from pipeline.config.channels import TOTAL, ChannelName
 from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
@@ -38,6 +38,8 @@ from pipeline.units import FALLBACK_VALID_RANGE
 HAMPEL_WINDOW, HAMPEL_THRESHOLD = 11, 5.0
 # Silence of more sample periods is a gap.
 GAP_SAMPLE_PERIODS = 5.0
+# Below this |speed| the motor stands still: the slowest work of such motors is some 1 rpm.
+STANDSTILL_RPM = 0.5
 # Time without a change after which a sensor is frozen; oil holds its temperature for longer.
 FROZEN_AFTER_S, TEMPERATURE_FROZEN_AFTER_S = 60.0, 900.0
 # Oil temperature is logged once a second or less: its silence is a gap after this time.
@@ -75,23 +77,22 @@ class ChannelRules:
     has_rows_of_its_own: bool = False
 
     @classmethod
-    def of(
-        cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
-    ) -> ChannelRules:
-        """Return the rules of a channel: its own keys where stated, else the fleet's."""
+    def of(cls, name: str, channel: Channel, logs: Logs | None = None) -> ChannelRules:
+        """Return the rules of a channel."""
         is_temperature = name == "oil_temperature"
-        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
+        frozen_after_s = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
         silence_s = channel.longest_silence_s or 0.0
-        fallback = max(fallback, silence_s) if channel.is_on_change else fallback
+        if channel.is_on_change:
+            frozen_after_s = max(frozen_after_s, silence_s)
         rules = cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
             resolution=channel.resolution,
-            frozen_after_s=channel.frozen_after_s or fallback,
+            frozen_after_s=frozen_after_s,
             longest_gap_s=silence_s or None,
             shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
-            at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
+            at_rest_below=STANDSTILL_RPM if name == "speed" else 0.0,
             on_change=channel.is_on_change,
             hold=channel.sampling == "hold",
             mean_us=(channel.mean_of_s or 0.0) * SECOND_US,
@@ -141,9 +142,9 @@ class Rests:
     ends_us: Times
 
     @classmethod
-    def of(cls, speed: CleanChannel, standstill_rpm: float) -> Rests:
+    def of(cls, speed: CleanChannel) -> Rests:
         """Return standstills by the clean samples of the speed."""
-        at_rest = ~speed.refused & (np.abs(speed.value) < (1.0 - ROUNDING) * standstill_rpm)
+        at_rest = ~speed.refused & (np.abs(speed.value) < (1.0 - ROUNDING) * STANDSTILL_RPM)
         begins, ends = stretches(at_rest)
         return cls(speed.time_us[begins], speed.time_us[ends - 1])
 

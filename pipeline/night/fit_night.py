@@ -166,7 +166,6 @@ def clean_channels(
 
     Raises Insufficient if a channel has no samples, or all of them fewer than two.
     """
-    cleaning = settings.cleaning
     too_long = means_too_long(file.channels)
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
@@ -175,10 +174,10 @@ def clean_channels(
     cleaned: dict[str, CleanChannel] = {}
     # Each is taken out when it is its turn, the speed first: it says when the motor stood still.
     for name in sorted(names, key=lambda name: name != "speed"):
-        rules = ChannelRules.of(name, file.channels[name], cleaning, file.logs)
+        rules = ChannelRules.of(name, file.channels[name], file.logs)
         cleaned[name] = clean_channel(channels.pop(name), rules, night.start_us, rests, order)
         if name == "speed":
-            rests = Rests.of(cleaned[name], cleaning.standstill_rpm)
+            rests = Rests.of(cleaned[name])
     cleaned = {name: cleaned[name] for name in names}
     counted = tuple(
         Quality(
@@ -298,7 +297,7 @@ def refit(
         # What needs samples is as before.
         figures = fit_columns(spec, made, blocks) | {"is_primary": mode == primary}
         rows["fits"].append(fits[mode] | figures)
-        rows["parameters"] += [key | row for row in parameter_rows(spec, made)]
+        rows["parameters"] += [key | row for row in parameter_rows(made)]
         rows["error_budget"] += [key | row for row in budget]
     if not is_elsewhere:
         del rows["error_budget"]
@@ -332,7 +331,7 @@ def _budget(
         by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
     effects = effects_elsewhere(
         motor,
-        tolerances(spec, night),
+        tolerances(spec),
         np.array([coefficients[name] for name in names]),
         {
             source: (np.array([some.get(name, 0.0) for name in names]), some[REFERENCE])

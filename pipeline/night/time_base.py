@@ -16,15 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
-from pipeline.config import Cleaning, SensorHealth, Settings, TimeBase
+from pipeline.config import Cleaning, SensorHealth, Settings
 from pipeline.config.nights import Night
-from pipeline.night.cleaning import CleanChannel
+from pipeline.night.cleaning import STANDSTILL_RPM, CleanChannel
 from pipeline.night.masks import ROUNDING, near, stretches, transient
 from pipeline.night.on_grid import delay_inputs, on_grid
 
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Leakage follows its inputs within less than the period of this rate.
 MAXIMUM_RATE_HZ = 10.0
+# Time refused around a halt or back-flow: before it the motor slows down, after it the drain line
+# fills again.
+GUARD_BEFORE_US, GUARD_AFTER_US = 10 * SECOND_US, 30 * SECOND_US
 # Faster changes are transients: in rpm/s, and in bar/s.
 TRANSIENTS = {"speed": 5.0, "pressure_difference": 50.0}
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
@@ -122,15 +125,13 @@ class Samples:
         return len(self.index) / self.n_running if self.n_running else 0.0
 
 
-def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> int:
-    """Return the period of the time base [µs]: as stated, else of the fastest channel.
+def grid_period_us(channels: Mapping[str, CleanChannel]) -> int:
+    """Return the period of the time base [µs]: that of the fastest channel.
 
     The rate is rounded (to whole hertz, or seconds below 1 Hz): a logger's jitter gives no night a
     grid of its own. A channel that is sent on change counts only where all are; means are not taken
     apart.
     """
-    if settings.rate_hz is not None:
-        return round(SECOND_US / settings.rate_hz)
     timed = [channel for channel in channels.values() if channel.period_us]
     periodic = [channel for channel in timed if not channel.rules.on_change] or timed
     fastest = min(channel.period_us for channel in periodic if channel.period_us)
@@ -161,7 +162,7 @@ def bring_together(
     of_oil = {name: channel for name, channel in channels.items() if name in VISCOSITIES}
     channels = {name: channel for name, channel in channels.items() if name not in VISCOSITIES}
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
-    period_us = grid_period_us(channels, settings.time_base)
+    period_us = grid_period_us(channels)
     together, counted = _on_one_grid(channels, night, period_us)
     grid_us, delay_s, unpaired = together.grid_us, np.zeros(len(together.grid_us)), {}
     if settings.transport_delay.is_on:
@@ -263,21 +264,20 @@ def _joint_masks(
 ) -> dict[str, Mask]:
     """Return the times that each joint rule refuses, by its reason; of rules that are on."""
     grid_us = together.grid_us
-    standstill = together.present["speed"] & ~_is_turning(together, cleaning)
+    standstill = together.present["speed"] & ~_is_turning(together)
     begins, ends = stretches(standstill)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = [grid_us[begins], grid_us[ends - 1], flow.time_us[flow.at_maximum]]
-    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
-    guard = near(np.sort(np.concatenate(events)), grid_us, before, after)
+    guard = near(np.sort(np.concatenate(events)), grid_us, GUARD_BEFORE_US, GUARD_AFTER_US)
     masks = {"standstill": standstill, "guard": guard & ~standstill}
     judged = {reason: rule(together, cleaning) for reason, rule in JOINT_RULES.items()}
     return masks | {reason: mask for reason, mask in judged.items() if mask is not None}
 
 
-def _is_turning(together: Together, cleaning: Cleaning) -> Mask:
+def _is_turning(together: Together) -> Mask:
     """Return times at which the motor is known to turn."""
-    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    slowest = (1.0 - ROUNDING) * STANDSTILL_RPM
     turning: Mask = together.present["speed"] & (np.abs(together.values["speed"]) >= slowest)
     return turning
 
@@ -287,7 +287,7 @@ def _warm_up(together: Together, cleaning: Cleaning) -> Mask | None:
     length = round(60.0 * cleaning.warm_up_minutes / together.period_s)
     if not length:
         return None
-    begins, ends = stretches(_is_turning(together, cleaning))
+    begins, ends = stretches(_is_turning(together))
     rests = begins - np.concatenate([[-together.n_before], ends[:-1]])[: len(begins)]
     is_cold = rests >= length
     cold = np.zeros(len(together.grid_us), dtype=np.bool_)

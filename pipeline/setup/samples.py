@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from leakage.watch.choices import BASELINE_NIGHTS
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
@@ -20,10 +21,16 @@ from pipeline.config.channels import COUNTED, TOTAL
 from pipeline.ingest import RawChannel, RawLog
 from pipeline.ingest.cells import may_be_number
 from pipeline.messages import counted
-from pipeline.night.cleaning import ChannelRules, CleanChannel, Rests, clean_channel
+from pipeline.night.cleaning import (
+    STANDSTILL_RPM,
+    ChannelRules,
+    CleanChannel,
+    Rests,
+    clean_channel,
+)
 from pipeline.night.fit_night import MINIMUM_TRAINING_MINUTES
 from pipeline.night.masks import near
-from pipeline.night.time_base import Samples
+from pipeline.night.time_base import GUARD_AFTER_US, GUARD_BEFORE_US, Samples
 from pipeline.night.time_order import order_of
 from pipeline.units import FALLBACK_VALID_RANGE
 
@@ -111,13 +118,12 @@ class ChannelCheck:
 
 def channel_checks(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> tuple[ChannelCheck, ...]:
     """Return the configured channels of a log."""
-    cleaning, logs = spec.settings.cleaning, spec.file.logs
     rules = {
-        name: ChannelRules.of(name, channel, cleaning, logs)
+        name: ChannelRules.of(name, channel, spec.file.logs)
         for name, channel in spec.file.channels.items()
     }
     speed = clean_channel(channels["speed"], rules["speed"])
-    rests = Rests.of(speed, cleaning.standstill_rpm)
+    rests = Rests.of(speed)
     return tuple(
         _channel_check(name, channel.unit, clean_channel(channels[name], rules[name], rests=rests))
         for name, channel in spec.file.channels.items()
@@ -295,7 +301,7 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> di
         if channel.constant is not None or channel.is_counted:
             continue
         # A halt drives oil backwards through the meter, which then reads its maximum.
-        at_work = ~_near_halts(spec, channels["speed"], channels[name].time_us)
+        at_work = ~_near_halts(channels["speed"], channels[name].time_us)
         value = _credible(name, channel, channels[name].value[at_work])
         for extreme, nearest in _sentinels(value):
             low, high = channel.valid_range or FALLBACK_VALID_RANGE[name]
@@ -308,11 +314,9 @@ def repeated_extremes(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> di
     return extremes
 
 
-def _near_halts(spec: MotorSpec, speed: RawChannel, time_us: Times) -> Mask:
-    cleaning = spec.settings.cleaning
-    halts = np.sort(speed.time_us[np.abs(speed.value) < cleaning.standstill_rpm])
-    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
-    return near(halts, time_us, before, after)
+def _near_halts(speed: RawChannel, time_us: Times) -> Mask:
+    halts = np.sort(speed.time_us[np.abs(speed.value) < STANDSTILL_RPM])
+    return near(halts, time_us, GUARD_BEFORE_US, GUARD_AFTER_US)
 
 
 def _credible(name: str, channel: Channel, value: Array) -> Array:
@@ -362,4 +366,4 @@ def operation(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
     needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.blocks().training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
-    return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"
+    return f"{ran}; first verdict on a change after {BASELINE_NIGHTS} nights"

@@ -209,3 +209,42 @@ def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < end, "it has not come to that"
         time.sleep(0.02)
+
+
+# Tasks of a Dask cluster, which workers import by name
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number to be squared; the square is staged, too."""
+
+    value: int
+    staging: Path
+
+
+def square(task: Number) -> int:
+    (task.staging / "squares").mkdir(exist_ok=True)
+    (task.staging / "squares" / f"{task.value}.txt").write_text(str(task.value**2), "utf-8")
+    return task.value**2
+
+
+def kill_workers_at_three(number: int) -> int:
+    """A task that takes every Dask worker with it that tries it."""
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """A task that says that it runs, and waits for a word to go on."""
+
+    number: int
+    folder: Path
+
+
+def wait_for_word(task: Wait) -> int:
+    (task.folder / f"started-{task.number}").touch()
+    if task.number:
+        wait_until((task.folder / "go").exists)
+    return task.number

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 import datetime as dt
-import io
 import math
 import re
 import shutil
 from pathlib import Path
 
 import polars as pl
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from polars.testing import assert_frame_equal
 
 from pipeline.export import CsvRequest, as_text, export_csv, tables_named
-from pipeline.schema import FITS, LOG_FILES, PARAMETERS, TABLES, TIMESTAMP, Table, frame
+from pipeline.schema import FITS, LOG_FILES, PARAMETERS, TABLES, Table, frame
 from pipeline.store.tables import read_table, table_folder
 from tests.pipeline.calling import contents, refused
 from tests.pipeline.written import night_file
 
 NIGHT = dt.date(2026, 1, 3)
-HOSTILE = ["=cmd|'/c calc'!A1", '=HYPERLINK("http://x","y")', '"=1+1"', "=1,=2"]
 HARMLESS = ["", "1 - 2", "a=b", "x, -2; +3", "ok", "'quoted'", "é − 漢", "line\nbreak", "a;b"]
 
 
@@ -38,35 +33,6 @@ def published(output: Path, table: Table) -> pl.DataFrame:
     return pl.concat([frame(table, []), *(read_table(path, table) for path in files)])
 
 
-@pytest.fixture(scope="module")
-def exported(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All tables of the demo's nights as CSV; only to be read."""
-    folder = tmp_path_factory.mktemp("csv")
-    counts = export(fitted_output, folder)
-    assert counts == {table.name: published(fitted_output, table).height for table in TABLES}
-    assert {path.name for path in folder.iterdir()} == {f"{table.name}.csv" for table in TABLES}
-    return folder
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_round_trip_through_polars(fitted_output: Path, exported: Path, table: Table) -> None:
-    texts = {
-        name: pl.String if kind == TIMESTAMP or isinstance(kind, pl.List) else kind
-        for name, kind in table.schema.items()
-    }
-    rows = pl.read_csv(exported / f"{table.name}.csv", schema=texts)
-    back = [
-        pl.col(name).str.to_datetime("%Y-%m-%dT%H:%M:%S%.6f%#z", time_unit="us", time_zone="UTC")
-        if kind == TIMESTAMP
-        else pl.col(name).str.json_decode(kind)
-        for name, kind in table.schema.items()
-        if kind == TIMESTAMP or isinstance(kind, pl.List)
-    ]
-    expected = published(fitted_output, table)
-    # Exactly: no digit may be lost.
-    assert_frame_equal(rows.with_columns(back), expected, check_exact=True)
-
-
 def test_how_values_are_written() -> None:
     rows = pl.DataFrame({"a": [None, ""], "b": [-1, 2], "c": [-1.5e-14, 2.0]})
     assert as_text(rows).write_csv() == 'a,b,c\n,-1,-1.5e-14\n"",2,2.0\n'
@@ -79,12 +45,6 @@ def test_how_values_are_written() -> None:
     line = as_text(frame(FITS, [row])).write_csv().splitlines()[1]
     assert line.startswith("A,2026-01-03,,true,2026-01-02T03:04:05.000067Z,,")
     assert as_text(pl.DataFrame({"a": HARMLESS}))["a"].to_list() == HARMLESS
-
-
-def cells(text: str, separator: str) -> list[str]:
-    """Cells as a spreadsheet reads them."""
-    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    return [cell for row in rows for cell in row]
 
 
 def is_formula(cell: str) -> bool:

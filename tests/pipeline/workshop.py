@@ -77,9 +77,10 @@ class Workshop:
         more: str = "",
         fleet: str = QUICK,
         motors: Sequence[str] = ("M1",),
+        limits: str = "",
     ) -> None:
         texts = {motor: motor_toml(motor, "MINI", files=files, more=more) for motor in motors}
-        write_configs(self.folder, texts, {"MINI": MINI}, fleet)
+        write_configs(self.folder, texts, {"MINI": MINI + limits}, fleet)
 
     def run(self, **request: Any) -> MotorOutcome:
         (outcome,) = run_fleet(RunRequest(load_fleet(self.fleet), **request)).outcomes

@@ -171,7 +171,7 @@ def test_too_few_nights_and_changed_settings_are_said(tmp_path: Path) -> None:
     young = make_fleet(tmp_path / "young", nights=7, format="csv").fitted()
     young.write_night("M1", 8, until=BREAK)
     assert "7 of 8 nights of a baseline" in young.run("look").out
-    young.append("fleet.toml", "[cleaning]\nstandstill_rpm = 0.7")
+    young.append("fleet.toml", "[cleaning]\nwarm_up_minutes = 1.0")
     assert "settings, events or resets have changed" in young.run("look").out
 
 

@@ -80,7 +80,7 @@ def test_oil_of_a_tank_is_common_and_a_break_among_drifts_is_the_motors_own() ->
 
 
 BEFORE, AFTER = 30, 12
-SEEDS = range(40, 42)
+SEEDS = (40,)
 GAPS = np.array([0.1, 0.1, 0.1, 0.0])
 
 

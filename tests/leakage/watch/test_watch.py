@@ -166,7 +166,7 @@ STORIES = {
     "season": Story(SEASON, 100, None, 0.0, 0.03, (None,)),
 }
 # Much like another one: in the full run.
-ALIKE = ("larger", "once lighter")
+ALIKE = ("gaps", "larger", "once lighter", "half load", "foreign")
 UNSIZED = ("odd_nights", BACK, "temperature_effect")
 
 
@@ -577,7 +577,9 @@ INDEPENDENT = {
 }
 
 
-@pytest.mark.parametrize(("path", "by"), [("sleeve", 0.03), ("all_flows", -0.015)])
+@pytest.mark.parametrize(
+    ("path", "by"), [("sleeve", 0.03), pytest.param("all_flows", -0.015, marks=pytest.mark.full)]
+)
 def test_evidence_agrees_with_an_independent_implementation(
     path: str, by: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -160,7 +160,7 @@ def test_the_example_is_a_fleet() -> None:
     fleet = load_fleet(DOCS / "example" / "fleet.toml")
     (motor,) = fleet.motors
     assert {path.law for path in motor.motor_type.path} == {"annular_gap", "speed_curve", "laminar"}
-    assert motor.settings.cleaning.guard_after_s == 60.0
+    assert motor.settings.cleaning.warm_up_minutes == 15.0
     assert motor.file.oil_on(dt.date(2026, 8, 31)) == "vg68"
     assert motor.file.oil_on(dt.date(2026, 9, 1)) == "vg46"
     assert motor.file.logs.separator == ";"

@@ -81,7 +81,6 @@ CASES: tuple[Case, ...] = (
     (MOTOR, "[channels.speed]", "[channels.case_pressure]", "channels", "expected also speed"),
     (MOTOR, "", '[flushing]\nalso = ["none"]', "flushing", "each mode once"),
     (MOTOR, "", '[flushing]\nmode = "maybe"', "flushing.mode", "'none', 'fixed' or 'estimated'"),
-    (MOTOR, "", "[flushing]\nflow_l_per_min = 30.0", "flushing", "<= maximum_l_per_min"),
     (MOTOR, "", '[[events]]\ndate = 2026-02-30\nkind = "overhaul"', "", "is not TOML"),
     (MOTOR, "", '[[events]]\ndate = 2026-03-01T06:00:00\nkind = "note"', "events.0.date", "got"),
     (MOTOR, "", f'{MARCH}kind = "oil_change"', "events.0.oil", "expected the oil's name"),

@@ -19,11 +19,9 @@ from pipeline.demo.fleet import (
     Plan,
     autoregression,
     coefficients_of,
-    correlated_noise,
     phi_of,
     record_night,
     reference_leakage,
-    simulate_operation,
 )
 from pipeline.demo.writing import write_demo, write_log
 from pipeline.errors import UsageError
@@ -52,20 +50,6 @@ def test_reference_leakage_of_an_unworn_motor_as_built_is_the_published_one(
     nights = [DemoNight(as_drawn, specs["CB560-01"], PLAN, number) for number in range(1, 31)]
     mean = np.mean([reference_leakage(night, coefficients_of(night)) for night in nights])
     assert mean == pytest.approx(1.371423, rel=2e-3)
-
-
-def test_halts_stop_the_motor_and_back_flow_follows_at_once() -> None:
-    time_s = np.arange(27_000) / 5.0
-    operation = simulate_operation(MOTORS["CB560-01"], time_s, np.random.default_rng(1))
-    halted = operation.speed_rpm == 0.0
-    assert 120.0 <= halted.sum() / 5.0 <= 480.0
-    assert np.all(operation.pressure_difference_bar[halted] == 0.0)
-    assert np.all(halted[operation.back_flow])
-    starts = np.flatnonzero(np.diff(operation.back_flow.astype(int)) == 1)
-    assert np.array_equal(starts, np.flatnonzero(np.diff(halted.astype(int)) == 1))
-    backward = operation.speed_rpm < 0.0
-    assert backward.any()
-    assert np.all(operation.pressure_difference_bar[backward] < 0.0)
 
 
 def test_every_kind_of_fault_is_there(specs: dict[str, MotorSpec]) -> None:
@@ -107,11 +91,6 @@ def test_autoregression_has_variance_one_from_the_start_and_forgets_by_phi_a_ste
     # Standard error of a covariance of unit normals: at most √(2 / SERIES).
     assert covariance == pytest.approx(phi**lags, abs=5 * math.sqrt(2 / SERIES))
     assert phi_of(0.1, -0.1 / math.log(0.95)) == pytest.approx(0.95)
-
-
-def test_correlated_noise_falls_to_1_over_e_in_its_time_constant() -> None:
-    noise = correlated_noise(np.random.default_rng(3), 400_000, 0.5, 5.0)
-    assert np.mean(noise[10:] * noise[:-10]) == pytest.approx(1 / math.e, abs=0.03)
 
 
 @pytest.mark.parametrize("motor_id", MOTORS)

@@ -30,8 +30,6 @@ from tests.pipeline.written import LASTING, processed_of, record_of
 # Of a process that imports the tests.
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
 MOTORS = ("M1", "M2")
-# A disk may become full in spite of the look at it before a run.
-pipeline.run.fleet.MINIMUM_FREE_MIB = 0
 LATER = NIGHT + DAY
 Tables = dict[str, pl.DataFrame]
 

@@ -24,7 +24,6 @@ from tests.pipeline.simulated import NIGHT
 
 READ = (FITS, PARAMETERS, QUALITY, TRENDS, LOG_FILES)
 Rows = pl.DataFrame
-REFUSED = (pl.exceptions.PolarsError, pl.exceptions.PanicException, duckdb.Error)
 Answer = dict[tuple[str, object], str]
 
 

@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from pipeline.config.dialect import field_path
 from pipeline.errors import LogError
-from pipeline.ingest import RawChannel, RawLog, read_log
+from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US
 from pipeline.units import CHANNELS, canonical_unit
 
@@ -92,11 +92,6 @@ def read(folder: Path, data: bytes, source: Source = SOURCE) -> RawLog:
     path = folder / "log.mcap"
     path.write_bytes(data)
     return read_log(path, *source)
-
-
-def pressure(folder: Path, payloads: Sequence[bytes]) -> RawChannel:
-    """The channel that messages of JSON are read as."""
-    return read(folder, mcap_of(payloads)).channels["pressure_difference"]
 
 
 def all_values(path: Path, fields: Sequence[str], topic: str = TOPIC) -> dict[str, list[Value]]:

@@ -94,7 +94,7 @@ def log_for(draw: random.Random, step_us: int) -> Recorded:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(30), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(30, 60))]
+    "seed", [*range(20), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(20, 60))]
 )
 def test_what_is_written_in_any_dialect_is_read_back(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)  # noqa: S311

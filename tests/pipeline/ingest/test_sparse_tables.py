@@ -126,7 +126,7 @@ def test_a_constant_has_its_value_wherever_there_is_a_drain_flow(tmp_path: Path)
         np.testing.assert_array_equal(raw.time_us, operation.time_us)
         np.testing.assert_array_equal(raw.missing, flow.missing)
         np.testing.assert_allclose(raw.value[~raw.missing], constant, rtol=1e-6)
-        rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+        rules = ChannelRules.of(name, channel, spec.file.logs)
         assert not clean_channel(raw, rules).refused[~raw.missing].any()
 
 

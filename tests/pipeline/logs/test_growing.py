@@ -63,18 +63,17 @@ def fates(outcome: Any) -> dict[str, int]:
     return {fate: n for fate, n in outcome.files.items() if n}
 
 
-@pytest.mark.parametrize("place", [SPAN, READ])
 def test_what_grows_waits_and_the_next_run_reads_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wherever it is when another process writes on: looked at, or read."""
+    """Another process writes on while it is read."""
     shop, undisturbed = (shop_of(tmp_path / name) for name in "ab")
     assert shop.run().nights == (NIGHT,)
     path = write(shop, NIGHT + DAY)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with monkeypatch.context() as patch:
-        when_called(patch, place, path, lambda: path.write_bytes(whole))
+        when_called(patch, READ, path, lambda: path.write_bytes(whole))
         outcome = shop.run()
     assert (outcome.status, outcome.error_code, outcome.nights) == ("no_new_data", None, ())
     assert fates(outcome) == {"unchanged": 1, "growing": 1}
@@ -102,22 +101,6 @@ def test_a_night_with_a_growing_log_waits_as_a_whole(
     outcome = shop.run()
     assert outcome.nights == (NIGHT + DAY,)
     assert fates(outcome) == {"read": 2, "unchanged": 1}
-
-
-def test_what_is_published_of_a_log_stays_while_it_grows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shop = shop_of(tmp_path)
-    shop.run()
-    before, path = shop.rows("fits"), shop.logs / f"{NIGHT}.csv"
-    whole = path.read_bytes()
-    path.write_bytes(whole + whole.splitlines(keepends=True)[-1])
-    with monkeypatch.context() as patch:
-        when_called(patch, READ, path, lambda: path.write_bytes(whole + b"half a ro"))
-        outcome = shop.run()
-    assert (outcome.nights, outcome.files["growing"]) == ((), 1)
-    assert shop.rows("fits").equals(before)
-    assert shop.run().nights == (NIGHT,)
 
 
 @pytest.mark.parametrize(

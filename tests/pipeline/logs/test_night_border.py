@@ -5,13 +5,14 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable, Mapping
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.config import Channel, Cleaning, Settings, TimeBase, load_fleet
+from pipeline.config import Channel, Settings, load_fleet
 from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import ChannelRules, CleanChannel, clean_channel
 from pipeline.night.on_grid import on_grid
@@ -39,7 +40,7 @@ def cleaned(seconds: list[int], value: list[float], **keys: Any) -> CleanChannel
     stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 100.0} | keys
     channel = Channel(source="x", unit=stated.pop("unit", "bar"), **stated)
     name = "leakage_flow" if channel.is_counted else "pressure_difference"
-    rules = ChannelRules.of(name, channel, Cleaning())
+    rules = ChannelRules.of(name, channel)
     values = np.array(value)
     times = START + np.array(seconds, dtype=np.int64) * SECOND_US
     return clean_channel(RawChannel(times, values, np.isnan(values), 0, bad), rules, START)
@@ -92,8 +93,8 @@ def test_a_sample_before_the_night_carries_over(
 
 
 def together(**channels: CleanChannel) -> Samples:
-    settings = Settings().model_copy(update={"time_base": TimeBase(rate_hz=1.0)})
-    samples, _ = bring_together(channels, night_of(), settings)
+    with patch("pipeline.night.time_base.grid_period_us", lambda _: SECOND_US):
+        samples, _ = bring_together(channels, night_of(), Settings())
     return samples
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config import Channel, Cleaning
+from pipeline.config import Channel
 from pipeline.config.logs import Logs
 from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import ChannelRules, CleanChannel, clean_channel
@@ -56,7 +56,7 @@ def as_read(
     mask = np.zeros(len(value), np.bool_)
     mask[list(bad)] = True
     channel = Channel.model_validate({"source": "x", "unit": CANONICAL[name]} | keys)
-    rules = ChannelRules.of(name, channel, Cleaning(), logs)
+    rules = ChannelRules.of(name, channel, logs)
     return clean_channel(RawChannel(time_us, value, np.isnan(value), 0, mask), rules)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.config import Channel, Cleaning
+from pipeline.config import Channel
 from pipeline.ingest import RawChannel
 from pipeline.night.cleaning import ChannelRules, clean_channel
 from pipeline.night.masks import (
@@ -211,11 +211,11 @@ def test_a_change_of_just_the_limit_is_no_transient() -> None:
 
 
 def test_temperature_has_limits_of_its_own_and_what_a_channel_states_wins() -> None:
-    rules = ChannelRules.of("oil_temperature", Channel(source="T", unit="degC"), Cleaning())
+    rules = ChannelRules.of("oil_temperature", Channel(source="T", unit="degC"))
     assert (rules.frozen_after_s, rules.shortest_gap_s) == (900.0, 5.0)
-    stated = {"valid_range": (5.0, 80.0), "resolution": 0.5, "frozen_after_s": 120.0}
+    stated = {"valid_range": (5.0, 80.0), "resolution": 0.5}
     channel = Channel(source="T", unit="degC", **stated)
-    rules = ChannelRules.of("oil_temperature", channel, Cleaning())
+    rules = ChannelRules.of("oil_temperature", channel)
     assert {name: getattr(rules, name) for name in stated} == stated
 
 
@@ -354,7 +354,7 @@ def test_a_gap_freezes_nothing() -> None:
 
 def test_speed_of_a_halted_motor_is_not_frozen() -> None:
     """An encoder at rest says 0 for hours; that is a standstill, not a fault."""
-    rules = ChannelRules.of("speed", Channel(source="n", unit="rpm", resolution=0.1), Cleaning())
+    rules = ChannelRules.of("speed", Channel(source="n", unit="rpm", resolution=0.1))
     value = lively(3000)
     value[1000:2000] = 0.0
     assert refused_by(clean_channel(raw(stamps(3000), value), rules)) == {}

@@ -37,7 +37,7 @@ def refuse(path: Path, _: object) -> None:
 def test_settings_of_the_fit_need_no_log(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for day in range(3):
+    for day in range(2):
         workshop.log(NIGHT + day * DAY, seed=day)
     assert workshop.run().status == "ok"
     refitted = ("nights", "fits", "parameters", "error_budget")
@@ -47,7 +47,7 @@ def test_settings_of_the_fit_need_no_log(
     with monkeypatch.context() as patch:
         patch.setattr(pipeline.logs.motor_logs, "read_log", refuse)
         outcome = workshop.run()
-    assert (len(outcome.nights), outcome.n_refitted, outcome.status) == (3, 3, "ok")
+    assert (len(outcome.nights), outcome.n_refitted, outcome.status) == (2, 2, "ok")
     for name, before in others.items():
         assert_frame_equal(workshop.rows(name), before, check_exact=True)
     assert not workshop.run().nights

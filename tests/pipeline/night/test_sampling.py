@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import MotorSpec, TimeBase
+from pipeline.config import MotorSpec
 from pipeline.config.logs import Logs
 from pipeline.night.cleaning import HAMPEL_THRESHOLD
 from pipeline.night.masks import flow_from_counts, out_of_range
@@ -140,8 +140,8 @@ def test_the_same_value_for_longer_than_the_longest_silence_is_frozen() -> None:
 def test_it_has_no_rate_to_set_the_time_base_by() -> None:
     slow = as_read("speed", seconds(50), np.arange(50.0))
     burst = as_read("pressure_difference", stamps(50), np.arange(50.0), **ON_CHANGE)
-    assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
-    assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
+    assert grid_period_us({"speed": slow, "p": burst}) == SECOND
+    assert grid_period_us({"p": burst}) == SECOND // 10
 
 
 @pytest.mark.parametrize(("mean_of_s", "code"), [(10.0, None), (10.1, "means_too_long")])
@@ -245,7 +245,7 @@ def in_units(channel: str, value: Floats) -> Iterator[tuple[str, Floats]]:
 
 def refused_in(channel: str, value: Floats) -> dict[str, int]:
     """Refused readings by rule, at 10 Hz, where no limit but that of spikes is near."""
-    wide: dict[str, Any] = {"valid_range": (-1e4, 1e4), "frozen_after_s": 1e4}
+    wide: dict[str, Any] = {"valid_range": (-1e4, 1e4)}
     resolution = RESOLUTION[QUANTITIES[channel]]
     return refused_by(as_read(channel, stamps(value.size), value, resolution=resolution, **wide))
 

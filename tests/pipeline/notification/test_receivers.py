@@ -22,7 +22,6 @@ CONTENT = '{"reason": "; rm -rf $HOME `id` ñ"}'.encode()
 DELIVERY = Delivery("msg_17", CONTENT)
 # Writes what it gets to the file that it is called with.
 KEEP = "import sys; open(sys.argv[1], 'wb').write(sys.stdin.buffer.read())"
-SECRET = "${HOOK_SECRET}"  # noqa: S105
 
 
 def refusal(receiver: Receiver) -> UndeliveredError:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import datetime as dt
 import json
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.report.build import page_of
 from pipeline.report.charts import residual_chart
 from pipeline.report.plotly_json import figure, numbers, script_json
 from pipeline.schema import RESIDUAL_TESTS
@@ -34,14 +32,6 @@ def test_correlations_of_the_errors_are_drawn_lag_by_lag(fitted_output: Path) ->
         assert numbers(drawn["to"]) == numbers(np.array(row["bounds"], dtype=np.float64))
     assert figure(chart)["x"][0] == -figure(chart)["x"][-1]
     assert residual_chart([]).panels == ()
-
-
-def test_undelivered_alarms_are_shown() -> None:
-    facts = dict.fromkeys(("first", "newest", "made"))
-    facts |= {"name": "F", "zone": ZoneInfo("UTC"), "old_after_nights": 7}
-    facts |= {"undelivered": ["not delivered to hook: 2 changes of state"]}
-    html = page_of("fleet.html", facts=facts, rows=[], counts=[])
-    assert "Not delivered to hook: 2 changes of state." in html
 
 
 def test_what_no_chart_can_show_is_no_number() -> None:

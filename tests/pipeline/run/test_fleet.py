@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import os
 import shutil
 import signal
@@ -9,12 +10,24 @@ import stat
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
+from pipeline.intraday.check import MotorCheck
+from pipeline.notification.outbox import Backlog
 from pipeline.run.fleet import RunRequest, run_fleet, staging_folder
+from pipeline.run.notification import (
+    HEAD,
+    intraday_metrics_file,
+    intraday_metrics_text,
+    metrics_text,
+    write_metrics,
+)
+from pipeline.schema import LATEST
+from pipeline.trends.motor_states import MotorState
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, MOTORS, PARQUET, output_of, run, status_of, table_files
 from tests.pipeline.dask_processes import Processes
@@ -65,31 +78,11 @@ def test_a_run_with_too_little_room_touches_nothing(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fleet = own_fleet(PARQUET, nights=1)
-    # The tests of faults take any disk, in the same process.
-    monkeypatch.setattr("pipeline.run.fleet.MINIMUM_FREE_MIB", 100)
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=(100 << 20) - 1))
     with pytest.raises(StoreError, match="100 MiB free, and a run needs 100;") as caught:
         run(fleet)
     assert caught.value.code == "disk_space"
     assert not output_of(fleet).exists()
-
-
-@pytest.mark.parametrize("place", ["out", "out/tables", "out/staging", "out/lock", "out/state.db"])
-def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> None:
-    fleet = own_fleet(PARQUET, nights=1)
-    blocked = fleet.parent.parent / place
-    blocked.parent.mkdir(exist_ok=True)
-    if place in ("out/lock", "out/state.db"):
-        blocked.mkdir()
-    else:
-        blocked.write_text("in the way")
-    with pytest.raises(StoreError) as caught:
-        run(fleet)
-    assert caught.value.code == "store_write"
-    assert blocked.exists()
-    # Once it is out of the way all is done.
-    blocked.rmdir() if blocked.is_dir() else blocked.unlink()
-    assert run(fleet).n_nights == 1
 
 
 def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None:
@@ -100,3 +93,43 @@ def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None
             assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     finally:
         os.umask(before)
+
+
+# Metrics: names that must be escaped, what is not known, and a folder that is absent
+
+WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
+FLEET: Any = SimpleNamespace(name='Mill "A"\\ north')
+
+
+def test_what_is_of_the_fleet_and_what_is_not_known() -> None:
+    none = dict.fromkeys(LATEST.schema)
+    risen = {"motor_id": "M1", "state": "alarm", "leakage_change_percent": 21.0}
+    young = {"motor_id": "M2", "state": "insufficient"}
+    states = [MotorState(none | risen), MotorState(none | young)]
+    backlogs = [Backlog("hook", WHEN, 3, WHEN, None)]
+    text = metrics_text(FLEET, states, [], {"trends_s": 0.25}, backlogs, WHEN)
+    fleet = 'fleet="Mill \\"A\\"\\\\ north"'
+    assert f'motor_leakage_undelivered_changes{{{fleet},receiver="hook"}} 3.0\n' in text
+    assert f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}} 0.25\n' in text
+    assert f"last_good_run_timestamp_seconds{{{fleet}}} {WHEN.timestamp()!r}\n" in text
+    # What is not known has no sample.
+    assert "model_error_percent{" not in text
+    assert text.count("leakage_change_percent{") == 1
+
+
+def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="is no folder"):
+        write_metrics(tmp_path / "absent" / "fleet.prom", HEAD)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_intraday_check_has_a_file_of_its_own() -> None:
+    assert intraday_metrics_file(Path("/a/mill.prom")) == Path("/a/mill-intraday.prom")
+    risen = MotorCheck("M1", "risen", "+82 %", end_us=round(WHEN.timestamp() * 1e6))
+    checks = [risen, MotorCheck("M2", "not_judged", "no new samples")]
+    lines = intraday_metrics_text(FLEET, checks).splitlines()
+    states = [line for line in lines if "intraday_state{" in line and line.endswith(" 1.0")]
+    assert 'motor="M1",state="risen"' in states[0]
+    assert 'motor="M2",state="not_judged"' in states[1]
+    (judged,) = (line for line in lines if line.startswith("motor_leakage_intraday_judged"))
+    assert judged.endswith(f" {WHEN.timestamp()!r}")

@@ -3,7 +3,6 @@ and tables, terminals, spreadsheets and pages show what they are."""
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import polars as pl
 import pytest
 
 from pipeline.config import ConfigError, load_fleet
-from pipeline.export import CsvRequest, export_csv
 from pipeline.logs.finding import find_logs
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
@@ -88,15 +86,6 @@ def test_links_that_go_round_end(tmp_path: Path) -> None:
     (folder / "self.csv").symlink_to("self.csv")
     names, *_ = find_logs(spec)
     assert "a/b/log.csv" in names
-
-
-def test_names_in_spreadsheets_are_no_formulas(made: Path, tmp_path: Path) -> None:
-    list(export_csv(made / "out", tmp_path, CsvRequest()))
-    with (tmp_path / "log_files.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == len(set(FILE_NAMES))
-    for cell in (row[name] for row in rows for name in ("path", "message")):
-        assert not cell.startswith(("=", "+", "-", "@", "\t", "\r"))
 
 
 def test_faults_of_a_config_show_what_prints(tmp_path: Path) -> None:

@@ -17,26 +17,17 @@ from threading import Event
 import polars as pl
 import pytest
 
-import pipeline.config.hashes
-import pipeline.run.motor_task
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, run_fleet, unchanged_motors
-from pipeline.run.night_plan import plan_fleet, plan_trends
+from pipeline.run.night_plan import plan_fleet
 from pipeline.run.tasks import MotorTask, Work
 from pipeline.store.state import open_state
-from tests.pipeline.workshop import DAY, QUICK, Workshop
+from tests.pipeline.workshop import DAY, Workshop
 
 FIRST = dt.date(2026, 3, 2)
 States = Mapping[str, str]
-HERE, BESIDE = Execution(backend="sequential"), Execution(backend="loky", workers=2)
+BESIDE = Execution(backend="loky", workers=2)
 NIGHTS = tuple(FIRST + number * DAY for number in range(4))
-# A setting of each kind, and what must be made anew for it: all nights, or none. Of which kind
-# each setting is shows `test_hashes`.
-SETTINGS = {
-    '[windows]\nsplit = "interleaved"\n': ("windows.split", Work.READ),
-    "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),
-    "[alarms]\nalarm_percent = 25.0\n": ("alarms.alarm_percent", None),
-}
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +65,6 @@ def blank(workshop: Workshop, *but: dt.date) -> None:
 def planned(workshop: Workshop) -> Mapping[dt.date, tuple[Work, str]]:
     ((_, plan),) = plan_fleet(RunRequest(load_fleet(workshop.fleet)))
     return {night: (step.work, step.reason) for night, step in plan.items()}
-
-
-def trends_planned(workshop: Workshop) -> dict[str, str]:
-    return dict(plan_trends(RunRequest(load_fleet(workshop.fleet))))
 
 
 def files(workshop: Workshop, *tables: str) -> States:
@@ -130,47 +117,6 @@ def test_content_counts_and_not_the_time_of_a_file(workshop: Workshop) -> None:
     shutil.copy2(path, copy)
     copy.replace(path)
     assert planned(workshop) == {}
-
-
-@pytest.mark.parametrize("setting", SETTINGS)
-def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, setting: str) -> None:
-    name, work = SETTINGS[setting]
-    if work is not Work.READ:
-        blank(workshop)
-    workshop.configure(fleet=QUICK + setting)
-    why = f"changed setting {name}"
-    expected = {} if work is None else dict.fromkeys(NIGHTS, (work, why))
-    assert planned(workshop) == expected
-    assert trends_planned(workshop) == {"M1": why}
-    statistics = files(workshop, "blocks", "quality", "predictions")
-    figures, trends = files(workshop, "fits", "parameters"), files(workshop, "trends")
-    outcome = workshop.run()
-    everything = set(map(str, NIGHTS))
-    again = files(workshop, "blocks", "quality", "predictions")
-    assert written(statistics, again) == (everything if work is Work.READ else set())
-    assert written(figures, files(workshop, "fits", "parameters")) == (
-        everything if work else set()
-    )
-    assert written(trends, files(workshop, "trends")) == everything
-    assert outcome.n_refitted == (len(NIGHTS) if work is Work.REFIT else 0)
-    assert (planned(workshop), trends_planned(workshop)) == ({}, {})
-
-
-@pytest.mark.parametrize(
-    ("name", "stage", "work"),
-    [("FIGURES_VERSION", "figures", Work.REFIT), ("READING_VERSION", "reading", Work.READ)],
-)
-def test_a_new_version_of_the_program_is_named(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, name: str, stage: str, work: Work
-) -> None:
-    old = getattr(pipeline.config.hashes, name)
-    monkeypatch.setattr(pipeline.config.hashes, name, old + 1)
-    plan, why = planned(workshop), f"another version of the program ({stage} {old} to {old + 1})"
-    assert list(plan) == list(NIGHTS)
-    assert {work for work, _ in plan.values()} == {work}
-    assert trends_planned(workshop) == {"M1": why}
-    if work is Work.REFIT:
-        assert {reason for _, reason in plan.values()} == {why}
 
 
 def unchanged(execution: Execution, *tasks: MotorTask) -> int:

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
-import pyarrow.parquet as pq
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
@@ -94,18 +92,6 @@ def test_a_name_that_is_absent_is_a_fault_and_a_pattern_without_a_match_a_note(
     assert check.notes[-1].startswith("no file matches M1/*/late-*.parquet below ")
 
 
-def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
-    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
-    path = tmp_path / "configs" / "motor_types" / "CB560.toml"
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace('"placeholder"', '"drawing 4711"', 3), encoding="utf-8")
-    assert checks_of(fleet)["M1"].placeholders
-    change(fleet, "motor_types/CB560.toml", '"placeholder"', '"drawing 4711"')
-    assert checks_of(fleet)["M1"].placeholders == ("ISO VG 68 hydraulic oil",)
-    change(fleet, "oils/vg68.toml", '"placeholder"', '"data sheet"')
-    assert not checks_of(fleet)["M1"].placeholders
-
-
 OF_UNIT = {"kPa": "pressure_difference", "K": "oil_temperature", "m3/h": "leakage_flow"}
 
 
@@ -134,29 +120,6 @@ def test_a_flow_that_does_not_fit_wrong_units_of_a_usual_size(own_fleet: OwnFlee
     assert header.startswith("unit_differs: oil_temperature: configured in degF, and the log says")
     assert flow.startswith("unit_unusual: leakage_flow: ")
     assert "l/min, which is unusual where the model has 0.0" in flow
-
-
-def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
-    own_fleet: OwnFleet,
-) -> None:
-    fleet, low = own_fleet("CB560-02"), 'source = "p_low"\nunit = '
-    change(fleet, "motors/CB560-02.toml", f'{low}"bar"', f'{low}"Pa"')
-    assert not any("unit_unusual" in fault for fault in checks_of(fleet)["CB560-02"].faults)
-
-
-def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
-    """Channel that is sent on change, in a log whose other channels are periodic."""
-    fleet = own_fleet("CB400-02")
-    log = max((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
-    table = pl.read_parquet(log)
-    filled = pl.col("oil_temperature").forward_fill()
-    sent = pl.when(filled.ne_missing(filled.shift())).then(filled).alias("oil_temperature")
-    pq.write_table(table.with_columns(sent).to_arrow(), log)
-    looks = "oil_temperature: looks sent on change, compressed, or lost in part: then sampling = "
-    assert [note[:73] for note in checks_of(fleet)["CB400-02"].notes[1:]] == [looks[:73]]
-    stated = 'source = "oil_temperature"\nsampling = "on_change"\nlongest_silence_s = 60.0'
-    change(fleet, "motors/CB400-02.toml", 'source = "oil_temperature"', stated)
-    assert len(checks_of(fleet)["CB400-02"].notes) == 1
 
 
 STILL = {"pressure_difference": 150.0, "speed": 30.0, "oil_temperature": 50.0}

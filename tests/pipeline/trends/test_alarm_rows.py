@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pipeline.trends.decisions import Decision, read_decisions, record_decision
 from pipeline.trends.motor_states import alarm_rows, new_rows, without_past
 from tests.pipeline.trends.nights import night_of
 
@@ -134,3 +139,25 @@ def test_what_of_the_past_is_notified(rows: Rows, published: Rows, places: list[
     nights = [row["night"] for row in without_past(rows, new, published, night_of(20))]
     assert nights == [night_of(place) for place in places]
     assert new_rows([RAISED | {"sentence": "in other words"}], [RAISED]) != []
+
+
+# What people say
+
+
+WHEN = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
+NOTE = 'rings worn; "really", said µ—Å\n2nd line'
+SAID = Decision(
+    "M1", "K_piston_ring", WHEN, "finding", dt.date(2026, 2, 17), "confirmed", NOTE, "piston_ring"
+)
+
+
+def test_the_oldest_is_first_however_many_write_at_once(tmp_path: Path) -> None:
+    assert read_decisions(tmp_path) == ()
+    assert list(tmp_path.iterdir()) == []  # where nothing was said nothing is made
+    decisions = [
+        replace(SAID, motor_id=f"M{number}", time=WHEN + dt.timedelta(hours=-number))
+        for number in range(40)
+    ]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda decision: record_decision(tmp_path, decision), decisions))
+    assert read_decisions(tmp_path) == tuple(reversed(decisions))

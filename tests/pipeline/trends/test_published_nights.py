@@ -17,7 +17,6 @@ from pipeline.config import Channel, MotorSpec
 from pipeline.config.motor_types import OilSample
 from pipeline.config.motors import CARRIED, Event
 from pipeline.config.settings import Conditions
-from pipeline.schema import BLOCKS
 from pipeline.trends.checkpoint import blank_records
 from pipeline.trends.course import Course
 from pipeline.trends.decisions import FLOW_ZERO, PRESSURE_ZERO, Decision
@@ -39,7 +38,7 @@ from tests.pipeline.trends.nights import (
     N_BLOCKS,
     PATHS,
     SAMPLES,
-    Nights,
+    block_rows,
     event,
     motor,
     named,
@@ -57,8 +56,8 @@ def read_by(spec: MotorSpec, rows: pl.DataFrame) -> tuple[WatchColumns, NightBlo
     return watch_columns, watch_columns.night_blocks(watch_columns.blocks(spec, rows))
 
 
-def blocks(spec: MotorSpec, **more: Any) -> tuple[WatchColumns, NightBlocks, pl.DataFrame]:
-    rows = Nights(spec, 1, noise=0.0, **more).frames[BLOCKS.name]
+def blocks(spec: MotorSpec) -> tuple[WatchColumns, NightBlocks, pl.DataFrame]:
+    rows = block_rows(spec)
     return *read_by(spec, rows), rows
 
 
@@ -87,7 +86,7 @@ def test_means_are_those_of_the_samples() -> None:
 def test_an_estimated_flushing_is_a_path_and_a_stated_one_is_taken_off() -> None:
     _, without, rows = blocks(motor())
     flushed = motor(more=ESTIMATED)
-    watch_columns, estimated, _ = blocks(flushed, wear={"C_f": np.ones(1)})
+    watch_columns, estimated, _ = blocks(flushed)
     assert watch_columns.watched == (*PATHS, "flushing", "known")
     assert estimated.drives[:, 3] == pytest.approx(1.0)
     flow = flushed.motor(FIRST, "estimated").constant.configured_coefficient

@@ -16,8 +16,15 @@ from pipeline.workers import engine
 from pipeline.workers.engine import CODE, do_on_worker, open_workers, own_versions
 from pipeline.workers.process import Loss
 from tests.pipeline.dask_processes import Processes, scheduler_with
-from tests.pipeline.dask_tasks import Number, Wait, kill_workers_at_three, square, wait_for_word
-from tests.pipeline.misbehaviour import do, wait_until
+from tests.pipeline.misbehaviour import (
+    Number,
+    Wait,
+    do,
+    kill_workers_at_three,
+    square,
+    wait_for_word,
+    wait_until,
+)
 
 
 def lost(task: Any, loss: Loss) -> str:
