@@ -187,6 +187,9 @@ def _as_shown(change: Change, night: NightState) -> Change:
         return frozenset(within.get(name, name) for name in names)
 
     alike, cause, probability = shown(change.alike), change.cause, change.probability
+    if is_disproved and ALL_FLOWS in (cause, *alike):
+        # A model that misses much tells no part from all flows.
+        alike = alike | {ALL_FLOWS, A_PART}
     is_prior = not alike.isdisjoint(shown(parts)) and len(alike) > 1
     is_class = is_prior or cause == NOT_IDENTIFIED or is_disproved
     # A name that the nights tell from its like stands alone.

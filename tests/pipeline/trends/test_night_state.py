@@ -128,7 +128,7 @@ def test_limits_of_the_motor_type_count_with_97_percent(leakage: float, expected
         (SLEEVE, 0.06, "not_identified"),
         ("balance_sleeve and piston_ring", 0.06, "not_identified"),
         ("all_gaps", 0.06, "not_identified"),
-        ("all_flows", 0.2, "all_flows"),
+        ("all_flows", 0.2, "not_identified"),
     ],
 )
 def test_where_the_model_is_disproved_no_part_is_named(cause: str, lack: float, named: str) -> None:
@@ -139,6 +139,12 @@ def test_where_the_model_is_disproved_no_part_is_named(cause: str, lack: float, 
     assert (night.gap_growth is None) == (named != SLEEVE)
     assert (RING in night.change.candidates) == (lack <= 0.05)
     assert sum(night.change.candidates.values()) == pytest.approx(1.0)
+
+
+def test_where_the_model_is_disproved_all_flows_may_be_a_part() -> None:
+    sure = change("all_flows", probability=0.99, candidates={"all_flows": 0.99})
+    assert watched(sure, lack_of_fit=0.05).change.cause == "all_flows"
+    assert watched(sure, lack_of_fit=0.06).change.cause == "a_part or all_flows"
 
 
 def test_the_verdict_on_the_model_is_its_lack_of_fit() -> None:
