@@ -43,7 +43,7 @@ Of = Machine | Callable[[Seed], Sequence[History]]
 FLOWS, GAPS, GRADE = ("all_flows",), ("all_gaps",), ("oil_grade",)
 SENSOR, WARMTH = ("temperature_sensor",), ("temperature_effect",)
 # Of what is otherwise: causes that are true, and those that say less than the truth and nothing
-# false. Of load, speed and a slow drain nothing may be named.
+# false. Of load and speed nothing may be named.
 CAUSES: Mapping[str, tuple[Names, Names]] = {
     **{path: ((path,), ()) for path in PATHS},
     "wear": (GAPS, FLOWS),
@@ -52,7 +52,8 @@ CAUSES: Mapping[str, tuple[Names, Names]] = {
     "gain": (FLOWS, ()),
     "reads_high_c": (SENSOR, FLOWS),
     # A sensor that lags reads wrong; flows at what it reads, and their way with it, are others.
-    "temperature_lag_s": (SENSOR, FLOWS + WARMTH),
+    "temperature_lag_s": (SENSOR, (*FLOWS, *WARMTH, "channels")),
+    "drain_lag_s": (("channels",), ()),
     "zero_l_per_min": (("zero",), FLOWS),
     "ring_like": ((), (*GAPS, "flushing")),
 }

@@ -136,12 +136,12 @@ PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
 # -- nights that follow their channels no more -----------------------------------------------------
 # A night does not where its conditions leave more of its flow than this unexplained, and than so
 # many times the most of a night of the baseline; so many nights in a row begin it, and end it.
-# Wear of any kind of the benchmark's machines, other oil and other loads leave 2.4 times the most,
+# Wear of any kind of the benchmark's machines, other oil and other loads leave 2.6 times the most,
 # 48 lives on machines by others less than 2.2 on two nights in a row. A meter or a tag of another
 # motor, a clock that drifts, a meter that is damped or late leave 10 to 60 times (5 to 50 %).
-LEAST_MISFIT, MISFIT_RATIO, MISFIT_NIGHTS = 0.05, 2.5, 2
-# A flow follows nothing that goes by less than this with the expected: a meter that is stuck.
-# Spread of conditions below which they are the same; blocks that a term of them needs.
+LEAST_MISFIT, MISFIT_RATIO, MISFIT_NIGHTS = 0.05, 3.0, 2
+# A meter is stuck whose flow varies by less than this share of what the expected does. Spread of
+# conditions below which they are the same; blocks that a term of them needs.
 LEAST_RESPONSE, LEAST_SPREAD, BLOCKS_A_TERM = 0.25, 1e-6, 1.5
 
 # -- after a change --------------------------------------------------------------------------------

@@ -159,8 +159,8 @@ def unexplained_share(flow: Array, expected: Array, conditions: Array) -> float:
 
     Root mean square of what stays of the flow, shape (b,), beside any smooth function of the
     expected flow, shape (b,), and of temperature, pressure and speed, shape (b, 3): wear of any
-    law, another oil and a meter's gain are none of it. A flow that does not go with the expected
-    has nothing explained.
+    law, another oil and a meter's gain are none of it. A flow that hardly varies, where the
+    expected does, has nothing explained.
     """
     spread = conditions.std(axis=0)
     varies = spread > choices.LEAST_SPREAD * np.abs(conditions).max(axis=0)
@@ -173,7 +173,6 @@ def unexplained_share(flow: Array, expected: Array, conditions: Array) -> float:
         return math.nan
     fitted, _, rank, _ = np.linalg.lstsq(design, flow, rcond=choices.LEAST_SPREAD)
     left, freedom = flow - design @ fitted, len(flow) - int(rank)
-    response = np.polyfit(expected, flow, 1)[0] if np.ptp(expected) else 1.0
-    if response < choices.LEAST_RESPONSE:
+    if flow.std() < choices.LEAST_RESPONSE * expected.std():
         left, freedom = flow - expected * (flow.mean() / expected.mean()), len(flow)
     return math.sqrt(float(left @ left) / freedom) / max(float(flow.mean()), 1e-9)

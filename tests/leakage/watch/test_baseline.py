@@ -301,7 +301,7 @@ OWN = conditions_of(1)
         pytest.param(1.3 * flow_at(OWN) + 0.05, 0.0, 1e-3, id="another gain and zero"),
         pytest.param(flow_at(OWN) + 2e-5 * OWN[:, 1] ** 2, 0.0, 1e-3, id="a path of another law"),
         pytest.param(flow_at(OWN, 5.0), 0.0, 5e-3, id="a temperature sensor 5 K low"),
-        pytest.param(flow_at(conditions_of(2)), 0.25, 0.6, id="the meter of another motor"),
+        pytest.param(flow_at(conditions_of(2)), 0.15, 0.6, id="the meter of another motor"),
         pytest.param(0.74 + 0.01 * np.cos(np.arange(30)), 0.25, 0.6, id="a meter that is stuck"),
     ],
 )
