@@ -338,8 +338,11 @@ def _as_measured(state: WatchState, nights: slice) -> Estimate:
     """Return the same, with what an event has moved."""
     level = state.level.mean(nights).scaled(state.of_leakage)
     grown = 1.0 + state.carried.value
-    # The flushing that is not known scales a change of the leakage.
-    own_sd = math.hypot(level.sd, level.value * state.baseline.leakage_share_error)
+    # The flushing that is not known scales a change of the leakage. What the model misses is common
+    # to all nights since the baseline, and a change is as uncertain as the model's own shape.
+    baseline = state.baseline
+    by_model = baseline.model_error * math.hypot(choices.LEVEL_BY_MODEL, level.value)
+    own_sd = math.hypot(level.sd, level.value * baseline.leakage_share_error, by_model)
     sd = math.hypot(grown * own_sd, (1.0 + level.value) * state.carried.sd)
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
 
