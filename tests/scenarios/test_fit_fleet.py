@@ -188,7 +188,8 @@ def test_a_night_too_short_and_one_at_rest(tmp_path: Path) -> None:
     log = fleet.log("M1", 2)
     pl.read_parquet(log)[:120].write_parquet(log)
     still = fleet.log("M1", 3)
-    pl.read_parquet(still).with_columns(speed=pl.lit(0.0)).write_parquet(still)
+    rest = {"speed": pl.lit(0.0), "pressure_difference": pl.lit(12.0)}
+    pl.read_parquet(still).with_columns(**rest).write_parquet(still)
     fleet.fitted()
     status = {row["night"]: row["status"] for row in fleet.nights("M1")}
     assert list(status.values()) == ["ok", "insufficient_data", "stood_still"]

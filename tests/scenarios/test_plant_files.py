@@ -410,7 +410,7 @@ def test_the_forecast_is_what_the_run_does(plant: Plant) -> None:
     nights = {
         1: wide(1),
         2: "".join(wide(2).splitlines(keepends=True)[:200]),
-        3: wide(3, edit=constant("speed", 0.0)),
+        3: wide(3, edit=lambda _, row: [12.0, row[1], 0.0, 0.0]),
         5: wide(5, edit=constant("oil_temperature", 48.0)),
     }
     files = {f"w_2026-01-0{night}.csv": text for night, text in nights.items()}
