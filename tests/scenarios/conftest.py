@@ -22,6 +22,7 @@ from pipeline.demo.fleet import (
 )
 from pipeline.demo.writing import write_log
 from tests.conftest import made_once
+from tests.pipeline.calling import without_workers
 from tests.scenarios.command import CALLS, run_command
 from tests.scenarios.covering import declared_by, items_of
 from tests.scenarios.fleets import DAY, FIRST, ScenarioFleet, Simulated, make_fleet, ramp, step
@@ -62,9 +63,9 @@ def _demo(shared_folder: Path) -> ScenarioFleet:
             write_log(log, record_night(night), motor)
         truth = json.dumps(truth_document(plan, nights))
         (folder / "demo" / "truth.json").write_text(truth, "utf-8")
+        config = without_workers(folder / "configs" / "fleet.toml")
         for command, *more in (("fit-fleet",), ("report", "--nights", 1)):
-            words = (command, "configs/fleet.toml", *more)
-            done = run_command(*words, folder=folder, process=command != "report")
+            done = run_command(command, config, *more, folder=folder)
             assert done.code == 0, done.err
 
     folder = made_once(shared_folder / "scenario-demo", make)
@@ -73,7 +74,7 @@ def _demo(shared_folder: Path) -> ScenarioFleet:
 
 @pytest.fixture(scope="session")
 def demo(_demo: ScenarioFleet) -> ScenarioFleet:
-    """The demo: `fit-fleet` as a process, then `report`; only to be read."""
+    """The demo after `fit-fleet` and `report`; only to be read."""
     return _demo
 
 
