@@ -7,13 +7,20 @@ columns of a row, the values of a long table, or a field of a message.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import islice
 
 from pipeline.config.logs import MISSING_TOKENS
-from pipeline.setup.names import FEWEST_CHANNELS, is_in, meaning_of, without_unit, words_of
+from pipeline.setup.names import (
+    FEWEST_CHANNELS,
+    is_in,
+    meaning_of,
+    unit_named,
+    without_unit,
+    words_of,
+)
 from pipeline.setup.tables import SAMPLES, Cells, Column, Quality, Table, is_number
 
 # OPC DA's: without a remark, at a limit, forced by hand, and forced at a limit.
@@ -33,9 +40,22 @@ def signals_of(table: Table) -> Table:
 def _of_columns(table: Table) -> Table:
     """Return the columns that may be channels of a log with a row a moment."""
     columns = with_qualities(table.columns) if table.logs["format"] != "mcap" else table.columns
-    return replace(
-        table, columns=tuple(column for column in columns if column.kind in ("number", "nothing"))
-    )
+    units = {_words(column.name)[:-1]: column for column in table.columns if _has_units(column)}
+    readings = (column for column in columns if column.kind in ("number", "nothing"))
+    return replace(table, columns=tuple(_with_unit(column, units) for column in readings))
+
+
+def _has_units(column: Column) -> bool:
+    """Return True for a column that has the unit of each reading of the one beside it."""
+    is_named = is_in(_words(column.name)[-1:], "column", "unit")
+    return is_named and bool(column.filled) and all(map(unit_named, column.filled))
+
+
+def _with_unit(column: Column, units: Mapping[Cells, Column]) -> Column:
+    """Return a column with the unit, or units, that its rows state beside it."""
+    beside = units.get(_without_value(column.name))
+    stated = dict.fromkeys(beside.cells if beside else ())
+    return replace(column, unit=" or ".join(filter(None, stated)) or column.unit)
 
 
 def _of_tags(table: Table) -> Table | None:
@@ -118,13 +138,14 @@ def columns_without_use(table: Table, signals: Table, motor_columns: Sequence[st
     read = {logs.get(key) for key in ("channel_column", "value_column")} | {*motor_columns}
     read |= {column.name for column in signals.columns}
     read |= {column.quality.source for column in signals.columns if column.quality}
-    is_unit = logs.get("layout") == "long"
+    is_long = logs.get("layout") == "long"
     return [
         column.name
         for column in table.columns
         if column.name not in read
         and column.kind != "nothing"
-        and not (is_unit and is_in(words_of(column.name), "column", "unit"))
+        and not (is_long and is_in(words_of(column.name), "column", "unit"))
+        and not _has_units(column)
     ]
 
 

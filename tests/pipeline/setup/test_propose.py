@@ -246,6 +246,10 @@ CASES: Mapping[str, Case] = {
         {"a.csv": several(f"statistic,{FOUR}", *(f"{of},{CELLS}" for of in ("avg", "max", "min")))},
         {"a": {"motor_column": "statistic", "motor_name": "avg"}},
     ),
+    "a unit in each row": Case(
+        {"a.csv": text("dp [bar],T [°C],n [rpm],leak,leak_unit", f"{CELLS},ml/min")},
+        {"a": {Q: "leak|ml/min"}},
+    ),
     "a zone in the name of the time": Case(
         {"a.csv": text(FOUR, CELLS).replace("time", "Time (GMT+1)", 1).replace("Z,", ",")},
         {"a": {"time_zone": "Etc/GMT-1"}},
@@ -308,6 +312,10 @@ def test_what_is_proposed_and_asked(name: str, tmp_path: Path) -> None:
         (text(STATISTICS.replace("Avg", "Min"), f"{CELLS},{CELLS}"), "minima, maxima and"),
         (text("value", "1.5"), 'layout = "file_per_channel"'),
         (text("dp_bar,n_rpm", "200.5,30.5"), 'layout = "file_per_channel"'),
+        (
+            text("dp_bar,T_degC,n_rpm,leak,leak_unit", f"{CELLS},l/min", f"{CELLS},ml/min"),
+            "The log says 'l/min or ml/min'",
+        ),
         (f"time,{FOUR}\n" + f"739984.5,{CELLS}\n" * 9, "counts are read as epoch_s,"),
         (text(FOUR, CELLS).replace("2026-01-13T", "").replace("Z,", ","), "written ('06:00:00')?"),
     ],
