@@ -188,3 +188,4 @@ class Verdict:
     # last two nights and of the first baseline's.
     misfit: float = 0.0
     usual_misfit: float = 0.0
+    is_elsewhere: bool = False  # Whether this night operates otherwise than the baseline's.

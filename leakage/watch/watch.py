@@ -130,6 +130,7 @@ class Watch:
             nights_beyond(state) > 0,
             float(np.nanmax(state.window.misfit[-choices.MISFIT_NIGHTS :], initial=0.0)),
             state.usual_misfit,
+            bool(state.window.distance[-1] > choices.OPERATING_FREE),
         )
 
     def change_since(self, day: int, first: int, last: int) -> Estimate | None:

@@ -46,6 +46,10 @@ CAUSES = {
     "flushing": "the flushing",
 }
 WAIT = "Wait for more nights."
+ELSEWHERE = (
+    "Check that pressure, oil temperature and speed read right. If the motor runs so now, begin a "
+    "baseline of these nights with `baseline reset`."
+)
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
 CHECK_CHANNELS = (
     "Compare each channel with its instrument: whose tag it is, its clock, and whether it is held, "
@@ -151,7 +155,9 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
         return CHECK_ZERO
     if night.is_refused and night.silent > 1:
         return "See to the reason of the last nights: nothing is known of the motor since."
-    return WAIT if night.state == "insufficient" else "Nothing to do."
+    if night.state == "insufficient":
+        return ELSEWHERE if night.verdict is not None and night.verdict.is_elsewhere else WAIT
+    return "Nothing to do."
 
 
 def _advice_on(night: NightState, change: Change) -> str:
@@ -228,6 +234,8 @@ def _quiet(night: NightState, since: dt.date) -> str:
     verdict = night.verdict
     assert verdict is not None
     words = f"too few nights since {day(since)} to show a change"
+    if verdict.is_elsewhere:
+        words = "pressure, speed or oil are other than in the baseline: no change would show"
     if night.state != "insufficient" and verdict.smallest is not None:
         percent = max(math.ceil(100.0 * verdict.smallest), 1)
         words = (

@@ -199,6 +199,7 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
             newest_night=Estimate(0.08, 0.01), is_beyond=True
         ),
         "too few nights to show a change": watched(smallest=0.51),
+        "nights at other operating conditions": watched(smallest=0.51, is_elsewhere=True),
         "a baseline that is not whole": waiting(
             5, period=BaselinePeriod(10, 40, "oil change on 2026-01-12")
         ),
