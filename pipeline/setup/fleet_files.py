@@ -29,6 +29,7 @@ from pipeline.config.settings import ReferenceConditions
 from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs
+from pipeline.night.cleaning import STANDSTILL_RPM
 from pipeline.setup.propose import LARGEST_LOG_BYTES, Proposal, ProposedMotor
 from pipeline.setup.samples import silence_keys, unread
 from pipeline.setup.tables import Column
@@ -38,7 +39,6 @@ Document = dict[str, Any]
 Span = tuple[dt.datetime, dt.datetime]
 NO_ANSWERS: Mapping[str, str] = MappingProxyType({})
 _MOST_MOTORS, _MOST_FILES = 12, 30
-_STANDSTILL_RPM = 0.5
 _PAUSE_H = 3
 _REFERENCE = {
     "pressure_bar": "pressure_difference",
@@ -274,7 +274,7 @@ def observe(motor: ProposedMotor) -> Observed:
     sampling = {name: silence_keys(raw, every_us) for name, raw in raw_channels.items()}
     sizes = {name: np.abs(raw.value[np.isfinite(raw.value)]) for name, raw in raw_channels.items()}
     if "speed" in sizes:
-        sizes["speed"] = sizes["speed"][sizes["speed"] > _STANDSTILL_RPM]
+        sizes["speed"] = sizes["speed"][sizes["speed"] > STANDSTILL_RPM]
     typical = {name: float(np.median(size)) for name, size in sizes.items() if len(size)}
     if typical.keys() >= set(PORT_PRESSURES):
         high, low = (typical[port] for port in PORT_PRESSURES)
