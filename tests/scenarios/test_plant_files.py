@@ -264,7 +264,14 @@ LAYOUTS: Mapping[str, tuple[Sequence[str], str]] = {
 }
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+# Those that are read as another one is.
+ALIKE = ("single digits", "two-digit years", "folders of a year", "parts of a bag")
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [pytest.param(name, marks=pytest.mark.full if name in ALIKE else ()) for name in LAYOUTS],
+)
 def test_logs_of_one_motor_are_one_motor_s(layout: str, plant: Plant) -> None:
     names, pattern = LAYOUTS[layout]
     nights = (1, 32, 60) if layout == "months" else (1, 2, 3)
