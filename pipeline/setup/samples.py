@@ -63,6 +63,7 @@ MOST_MISPLACED = {"duplicate_time": 0.1, "backward_time": 0.4}
 # What cannot be read is rarely lost at random: it is the largest readings, a direction, the hours
 # after a change of the logger.
 MOST_UNREAD = 0.01
+DAY_US, LONGEST_STEP_US = 86_400 * SECOND_US, 60 * SECOND_US
 HOW_TO_MEND = {
     "duplicate_time": "do its stamps lack seconds, or fractions of them, are they of another "
     "column than logs.time should have, or are its rows of several motors? Correct "
@@ -92,6 +93,14 @@ def unread(log: RawLog) -> dict[str, str]:
             words[name] = (
                 f"{counted(raw.unparsed, 'cell')} of {name} without a number{raw.such_as}: set "
                 "decimal, thousands or missing_tokens of [logs], or have them written as numbers"
+            )
+    for raw in log.channels.values():
+        # The step over midnight, a day short.
+        steps = np.diff(raw.time_us) + DAY_US
+        if len(falls := np.flatnonzero((steps > 0) & (steps <= LONGEST_STEP_US))):
+            words["date"] = (
+                f"its stamps fall back by a day behind {utc(raw.time_us[falls[0]]):%Y-%m-%d %H:%M} "
+                "UTC: have the date of each row written, not that of the log's begin"
             )
     # A row alone may be that which is being written.
     if log.left_out > max(MOST_UNREAD * (log.rows + log.left_out), 1):

@@ -156,7 +156,9 @@ def _csv(path: Path) -> Table:
     known = Logs.model_fields
     logs = {key: value for key, value in dialect.items() if value != known[key].default}
     table = Table({"format": "csv"} | logs, tuple(questions), tuple(columns), (), marks, rows)
-    return replace(table, left_out=_repeated(names))
+    unnamed = (own[0] for name, own in zip(names, cells, strict=True) if own and not name)
+    nameless = tuple(f"a column without a name has {cell!r}: name it" for cell in unnamed if cell)
+    return replace(table, left_out=(*_repeated(names), *nameless))
 
 
 def _repeated(names: Sequence[str]) -> Cells:

@@ -231,6 +231,14 @@ def test_words_for_no_reading_are_no_lost_numbers(example: str, is_lost: bool) -
     assert list(unread(RawLog({"speed": channel}, 100))) == ["speed"] * is_lost
 
 
+@pytest.mark.parametrize("is_fallen", [False, True])
+def test_a_date_that_stays_behind_midnight_is_a_fault(is_fallen: bool) -> None:
+    time_us = np.arange(100) * 2_000_000 + 10**15
+    time_us[50:] -= 86_400_000_000 * is_fallen
+    speed = RawChannel(time_us, np.ones(100), np.zeros(100, dtype=np.bool_), 0)
+    assert list(unread(RawLog({"speed": speed}, 100))) == ["date"] * is_fallen
+
+
 SECONDS = np.arange(60)
 
 

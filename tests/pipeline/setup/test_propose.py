@@ -312,6 +312,7 @@ def test_what_is_proposed_and_asked(name: str, tmp_path: Path) -> None:
         (text(STATISTICS.replace("Avg", "Min"), f"{CELLS},{CELLS}"), "minima, maxima and"),
         (text("value", "1.5"), 'layout = "file_per_channel"'),
         (text("dp_bar,n_rpm", "200.5,30.5"), 'layout = "file_per_channel"'),
+        (text(",n_rpm", "200.5,30.5"), "a column without a name has '200.5'"),
         (
             text("dp_bar,T_degC,n_rpm,leak,leak_unit", f"{CELLS},l/min", f"{CELLS},ml/min"),
             "The log says 'l/min or ml/min'",
