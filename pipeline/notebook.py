@@ -185,7 +185,7 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
         raise UsageError("oil_changed", message)
     prepared = _joined([_of_logs(spec, logs, label) for label in labels], spec.settings)
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
-    return replace(prepared, motor=motor, tolerances=tolerances(spec))
+    return replace(prepared, motor=motor, tolerances=tolerances(spec, labels[-1]))
 
 
 def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:

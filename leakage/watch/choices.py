@@ -6,9 +6,6 @@ figures are shares of the flow unless they say otherwise.
 
 from __future__ import annotations
 
-# Nights of a baseline: the fewest whose wander can be estimated; more delay the first verdict.
-BASELINE_NIGHTS = 8
-
 # -- a block in numbers ----------------------------------------------------------------------------
 # The scale of a residual never falls below this share of the mean flow: at a low flow the meter's
 # error is fixed. The floor is in the scale alone; in the expectation it raised false alarms.

@@ -60,7 +60,7 @@ class WatchSettings:
     """Rate of false alarms a motor-year, and the nights before the first candidate change."""
 
     false_alarms_per_year: float = 0.04
-    baseline_nights: int = choices.BASELINE_NIGHTS
+    baseline_nights: int = 8
 
     @property
     def limit(self) -> float:

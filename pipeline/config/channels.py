@@ -80,6 +80,8 @@ class Channel(Section):
     """Constant error of the sensor."""
     gain_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Error in proportion to the reading."""
+    frozen_after_s: Positive | None = None
+    """Time without a change after which a sensor is frozen; by default 60 s, temperature 900 s."""
     sampling: Literal["periodic", "on_change", "hold", "mean"] = "periodic"
     """Fixed rate (`periodic`), compressed to the ends of lines (`on_change`), sent on change and
     valid until the next (`hold`), means of a period (`mean`)."""

@@ -229,6 +229,8 @@ class MotorTypeFile(Section):
     """The type."""
     path: tuple[DeclaredPath, ...] = Field(min_length=1)
     """Leakage paths of the type."""
+    surface_roughness_um: tuple[Positive, Positive] = (0.2, 0.2)
+    """R_a of the two surfaces of a gap."""
     limits: LeakageLimits = left_out()
     """Absolute limits, where there are any."""
 
@@ -246,11 +248,6 @@ class MotorTypeFile(Section):
         return tuple(path.path() for path in self.path)
 
 
-# β of the density of mineral oils; data sheets rarely state it, and a tenth of it is 0.2 % of the
-# flow at 70 °C.
-THERMAL_EXPANSION_PER_K = 7.0e-4
-
-
 class OilFile(Section):
     """`oils/<oil>.toml`: an oil's data sheet."""
 
@@ -260,12 +257,20 @@ class OilFile(Section):
     """The oil's name, as reports show it."""
     source: Annotated[Source, Stage.NOTHING]
     """Document behind the values, or `placeholder` for a guess."""
+    reference_temperatures_c: tuple[float, float]
+    """Temperatures of the reference viscosities."""
     reference_viscosities_mm2_per_s: tuple[Positive, Positive]
-    """Kinematic viscosities at 40 and 100 °C."""
+    """Kinematic viscosities there."""
     density_15_c_kg_per_m3: Positive
     """Density at 15 °C."""
+    thermal_expansion_per_k: NonNegative = 7.0e-4
+    """β of the density."""
     pressure_viscosity_per_pa: NonNegative = 2.0e-8
     """α of the Barus equation."""
+    pressure_viscosity_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
+    """Tolerance of α."""
+    density_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
+    """Tolerance of the density."""
 
     def misfits(self) -> tuple[()]:
         self.oil()  # raises for numbers that the physics refuses
@@ -273,14 +278,16 @@ class OilFile(Section):
 
     def oil(self) -> Oil:
         """Return the oil as the physics knows it."""
-        at_40, at_100 = self.reference_viscosities_mm2_per_s
-        a, b = walther_coefficients(40.0, at_40, 100.0, at_100)
+        cold, warm = zip(
+            self.reference_temperatures_c, self.reference_viscosities_mm2_per_s, strict=True
+        )
+        a, b = walther_coefficients(*cold, *warm)
         return Oil(
             name=self.name,
             walther_a=a,
             walther_b=b,
             density_15_c_kg_per_m3=self.density_15_c_kg_per_m3,
-            thermal_expansion_per_k=THERMAL_EXPANSION_PER_K,
+            thermal_expansion_per_k=self.thermal_expansion_per_k,
             pressure_viscosity_per_pa=self.pressure_viscosity_per_pa,
         )
 

@@ -166,6 +166,15 @@ class ReferenceConditions(Section):
         )
 
 
+class Trend(Section):
+    """The motor against its own past."""
+
+    shapes = Stage.TRENDS
+
+    baseline_nights: int = Field(8, ge=8)
+    """Nights of a baseline, after which the watch begins; more detect less change, later."""
+
+
 class Folders(Section):
     """Folders; each is relative to the fleet file."""
 
@@ -227,6 +236,7 @@ class Settings(Section):
     model: Model = left_out()
     reference: ReferenceConditions = left_out()
     sensor_health: SensorHealth = left_out()
+    trend: Trend = left_out()
     alarms: Alarms = left_out()
 
 

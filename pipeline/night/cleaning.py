@@ -78,18 +78,17 @@ class ChannelRules:
 
     @classmethod
     def of(cls, name: str, channel: Channel, logs: Logs | None = None) -> ChannelRules:
-        """Return the rules of a channel."""
+        """Return the rules of a channel: what it states, else the constants."""
         is_temperature = name == "oil_temperature"
-        frozen_after_s = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
+        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else FROZEN_AFTER_S
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
         silence_s = channel.longest_silence_s or 0.0
-        if channel.is_on_change:
-            frozen_after_s = max(frozen_after_s, silence_s)
+        fallback = max(fallback, silence_s) if channel.is_on_change else fallback
         rules = cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
             resolution=channel.resolution,
-            frozen_after_s=frozen_after_s,
+            frozen_after_s=channel.frozen_after_s or fallback,
             longest_gap_s=silence_s or None,
             shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
             at_rest_below=STANDSTILL_RPM if name == "speed" else 0.0,

@@ -54,8 +54,6 @@ PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 PRESSURE_CLASS, PRESSURE_RANGE_BAR = 0.01, 400.0
 # IEC 60751, class B: 0.3 + 0.005 |t|, at 50 °C [K].
 PT100_CLASS_B_K = 0.55
-# Of the oil's α, which few data sheets state, and of its density at 15 °C.
-PRESSURE_VISCOSITY_TOLERANCE, DENSITY_TOLERANCE = 0.1, 0.005
 # Gear meters within their range: 1 % of the reading.
 GEAR_METER = 0.01
 # Channels of which a tolerance is assumed; of the speed none is.
@@ -122,7 +120,7 @@ def fit_modes(
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
         motor = spec.stated.motor(night, mode)
-        budget = list(_budget_rows(spec, statistics, motor, at))
+        budget = list(_budget_rows(spec, statistics, motor, at, night))
         fits.append(fit_stored_blocks(spec, night, mode, blocks, at, budget))
         rows += [{"flushing_mode": mode} | row for row in budget]
     return fits, rows
@@ -291,6 +289,7 @@ def _budget_rows(
     statistics: NightStatistics,
     motor: Motor,
     at: tuple[OperatingConditions, OperatingConditions],
+    night: dt.date,
 ) -> Iterator[Row]:
     """Yield rows of `error_budget` by evenly thinned samples; none beyond a law's validity."""
     n = len(statistics.samples.index)
@@ -299,7 +298,7 @@ def _budget_rows(
     flow = statistics.samples.leakage_l_per_min[chosen]
     reference, own = at
     with suppress(LeakageError):
-        budget = error_budget(motor, thinned, flow, tolerances(spec), [reference], [own])
+        budget = error_budget(motor, thinned, flow, tolerances(spec, night), [reference], [own])
         assumed = assumed_sensors(spec)
         for effect in budget.effects:
             figures = [
@@ -322,16 +321,16 @@ def _budget_rows(
                 }
 
 
-def tolerances(spec: MotorSpec) -> Tolerances:
+def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
     """Return tolerances of channels, oil and model; of two ports the difference's, by squares."""
-    charge = spec.file.channels.get("charge_pressure")
+    oil, charge = spec.oil_on(night), spec.file.channels.get("charge_pressure")
     return Tolerances(
         pressure_bar=_of(spec, "pressure_difference"),
         temperature_c=_of(spec, "oil_temperature"),
         speed_rpm=_of(spec, "speed"),
         flow_l_per_min=_of(spec, "leakage_flow"),
-        pressure_viscosity=PRESSURE_VISCOSITY_TOLERANCE,
-        density=DENSITY_TOLERANCE,
+        pressure_viscosity=oil.pressure_viscosity_tolerance_percent / 100,
+        density=oil.density_tolerance_percent / 100,
         charge_pressure_bar=charge.offset_tolerance if charge else 0.0,
     )
 

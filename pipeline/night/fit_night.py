@@ -297,7 +297,7 @@ def refit(
         # What needs samples is as before.
         figures = fit_columns(spec, made, blocks) | {"is_primary": mode == primary}
         rows["fits"].append(fits[mode] | figures)
-        rows["parameters"] += [key | row for row in parameter_rows(made)]
+        rows["parameters"] += [key | row for row in parameter_rows(spec, made)]
         rows["error_budget"] += [key | row for row in budget]
     if not is_elsewhere:
         del rows["error_budget"]
@@ -331,7 +331,7 @@ def _budget(
         by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
     effects = effects_elsewhere(
         motor,
-        tolerances(spec),
+        tolerances(spec, night),
         np.array([coefficients[name] for name in names]),
         {
             source: (np.array([some.get(name, 0.0) for name in names]), some[REFERENCE])

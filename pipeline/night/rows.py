@@ -31,8 +31,6 @@ from pipeline.schema import LAG_COLUMNS, OF_NIGHT, Row
 Rows = dict[str, list[Row]]
 
 MICROMETRE = 1e-6
-# R_a of the two ground surfaces of a gap: gaps worn to a few times of it are none of the model's.
-SURFACE_ROUGHNESS_UM = (0.2, 0.2)
 # A share is identified where it is known to this much of the whole, or to half of itself.
 WIDEST_SHARE = 0.02
 ROLLER_COLUMNS = ("roller_scale", "roller_scale_lower", "roller_scale_upper", "roller_verdict")
@@ -106,7 +104,7 @@ def fit_rows(
         own = fit_columns(spec, mode, blocks) | residual_columns(errors, period_s)
         own |= {"is_primary": mode.name == spec.file.flushing.mode}
         rows["fits"].append(shared | key | own)
-        rows["parameters"] += [key | row for row in parameter_rows(mode)]
+        rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         rows["residual_tests"] += [key | row for row in residual_test_rows(errors, period_s)]
     return rows
 
@@ -213,7 +211,7 @@ def _roller_columns(mode: BlockFit) -> Row:
     return row
 
 
-def parameter_rows(mode: BlockFit) -> list[Row]:
+def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
     motor = mode.fit.motor
     places = {path.name: place for place, path in enumerate(motor.coefficient_paths) if path}
@@ -222,7 +220,7 @@ def parameter_rows(mode: BlockFit) -> list[Row]:
         row = _coefficient_row(mode, path, places.get(path.name))
         if path is motor.standard:
             row["reason"] = _why_fixed(mode)
-        rows += [row, *_derived_rows(path, row)]
+        rows += [row, *_derived_rows(spec, path, row)]
     return rows + _share_rows(mode)
 
 
@@ -257,9 +255,9 @@ def _interval(value: float, half_width: float) -> Row:
     return {"lower": value - half_width, "upper": value + half_width}
 
 
-def _derived_rows(path: Law, coefficient: Row) -> list[Row]:
+def _derived_rows(spec: MotorSpec, path: Law, coefficient: Row) -> list[Row]:
     """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
-    first, second = SURFACE_ROUGHNESS_UM
+    first, second = spec.motor_type.surface_roughness_um
     limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None
     rows: list[Row] = []
     for figure in path.derived_figures(

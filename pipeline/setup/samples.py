@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from leakage.watch.choices import BASELINE_NIGHTS
 from pipeline.arrays import SECOND_US, Array, Mask, Times
 from pipeline.clock import utc
 from pipeline.config import Channel, MotorSpec
@@ -375,4 +374,4 @@ def operation(spec: MotorSpec, label: dt.date, samples: Samples) -> str:
     needed = MINIMUM_TRAINING_MINUTES / spec.settings.windows.blocks().training_share
     if minutes < needed:
         return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
-    return f"{ran}; first verdict on a change after {BASELINE_NIGHTS} nights"
+    return f"{ran}; first verdict on a change after {spec.settings.trend.baseline_nights} nights"

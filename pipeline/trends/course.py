@@ -278,4 +278,5 @@ def _measured(at: Conditions) -> Array:
 
 def watch_settings(spec: MotorSpec) -> WatchSettings:
     """Return settings of a motor's watch."""
-    return WatchSettings(spec.settings.alarms.false_alarms_per_year)
+    trend, alarms = spec.settings.trend, spec.settings.alarms
+    return WatchSettings(alarms.false_alarms_per_year, trend.baseline_nights)

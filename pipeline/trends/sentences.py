@@ -223,11 +223,10 @@ def _limit_words(night: NightState) -> str:
 
 
 def _insufficient(night: NightState) -> str:
-    from leakage.watch.choices import BASELINE_NIGHTS
-
     begin = "" if night.period.reason == "first nights" else f" since {night.period.reason}"
     none = f"; {day(night.night)} is none: {night.why_no_blocks}" if night.why_no_blocks else ""
-    return f"{night.n_waiting} of {BASELINE_NIGHTS} nights of a baseline{begin}{none}"
+    needed = night.spec.settings.trend.baseline_nights
+    return f"{night.n_waiting} of {needed} nights of a baseline{begin}{none}"
 
 
 def _quiet(night: NightState, since: dt.date) -> str:

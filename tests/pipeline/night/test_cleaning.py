@@ -213,7 +213,7 @@ def test_a_change_of_just_the_limit_is_no_transient() -> None:
 def test_temperature_has_limits_of_its_own_and_what_a_channel_states_wins() -> None:
     rules = ChannelRules.of("oil_temperature", Channel(source="T", unit="degC"))
     assert (rules.frozen_after_s, rules.shortest_gap_s) == (900.0, 5.0)
-    stated = {"valid_range": (5.0, 80.0), "resolution": 0.5}
+    stated = {"valid_range": (5.0, 80.0), "resolution": 0.5, "frozen_after_s": 120.0}
     channel = Channel(source="T", unit="degC", **stated)
     rules = ChannelRules.of("oil_temperature", channel)
     assert {name: getattr(rules, name) for name in stated} == stated

@@ -338,14 +338,14 @@ def test_sensors_have_the_tolerance_stated_or_that_of_their_kind(tmp_path: Path)
     """EN 837-1 class 1, IEC 60751 class B at 50 °C, and a gear meter's 1 %."""
     pressure = "[channels.pressure_difference]\n"
     text = motor_toml("M1").replace(pressure, f"{pressure}sensor_maximum = 250\n")
-    found = tolerances(load_motor(tmp_path / "kind", text))
+    found = tolerances(load_motor(tmp_path / "kind", text), NIGHT)
     assert found.pressure_bar.offset == pytest.approx(2.5)
     assert found.temperature_c.offset == pytest.approx(0.3 + 0.005 * 50.0)
     assert found.flow_l_per_min.gain == pytest.approx(0.01)
     assert found.speed_rpm.offset == found.speed_rpm.gain == 0.0
     oil = "[channels.oil_temperature]\n"
     spec = load_motor(tmp_path / "own", text.replace(oil, f"{oil}offset_tolerance = 0.2\n"))
-    assert tolerances(spec).temperature_c.offset == pytest.approx(0.2)
+    assert tolerances(spec, NIGHT).temperature_c.offset == pytest.approx(0.2)
     assert set(assumed_sensors(spec)) == {"pressure_difference", "leakage_flow"}
 
 
