@@ -56,7 +56,6 @@ from leakage.watch.state import (
     present,
     probability_back,
     since_before,
-    usual_of,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
@@ -262,14 +261,12 @@ def begin(
 ) -> WatchState:
     """Return the state after the nights of a baseline, of the form that is given, if any."""
     baseline = baseline_of(machine, nights, has_further=has_further)
-    of_nights = zip(*map(baseline.of_night, nights), strict=True)
-    information, score, distance, misfit = map(np.array, of_nights)
+    information, score = map(np.array, zip(*map(baseline.information, nights), strict=True))
     window = Window(
         np.array([night.day for night in nights]),
         information,
         score,
-        distance,
-        misfit,
+        np.array([baseline.distance(night) for night in nights]),
         np.zeros(len(nights)),
         baseline.columns.prior(),
         np.zeros(baseline.columns.n),
@@ -286,7 +283,7 @@ def begin(
         causes,
         first_step=nights[-1].day + 1,
         first_ramp=nights[0].day,
-        usual_misfit=usual_of(misfit),
+        usual_misfit=baseline.usual_misfit(nights),
         n_baseline=len(nights),
         n_nights=len(nights),
         due=math.ceil(len(nights) * choices.ANEW_FACTOR),
@@ -458,6 +455,7 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
         evidence=state.evidence,
         in_force=in_force,
         usual_misfit=state.usual_misfit,
+        misfits=state.misfits,
     )
 
 

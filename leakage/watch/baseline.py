@@ -296,11 +296,21 @@ class Baseline:
         residuals = residuals - design @ self.unknowns
         return night_information(design, residuals, night.middle_s, self.errors, self.n_paths)
 
-    def of_night(self, night: NightBlocks) -> tuple[Array, Array, float, float]:
-        """Return what a window has of a night: information, score, distance and misfit."""
-        drives = self.columns.all_drives(night.drives, night.conditions)
-        misfit = unexplained_share(night.flow, self.columns.expected(drives), night.conditions)
-        return (*self.information(night), self.distance(night), misfit)
+    def misfit(self, night: NightBlocks) -> float:
+        """Return the share of a night's flow that its conditions do not explain; nan: too short.
+
+        Of half of the usual flow at least, as a meter's noise is fixed.
+        """
+        columns = self.columns
+        expected = columns.expected(columns.all_drives(night.drives, night.conditions))
+        usual = columns.least_scale / choices.LEAST_SCALE
+        return unexplained_share(night.flow, expected, night.conditions, choices.MOSTLY * usual)
+
+    def usual_misfit(self, nights: Sequence[NightBlocks]) -> float:
+        """Return the most of a baseline's nights; inf where most of them are too short to tell."""
+        misfits = [self.misfit(night) for night in nights]
+        known = [misfit for misfit in misfits if math.isfinite(misfit)]
+        return max(known) if 2 * len(known) >= len(nights) else math.inf
 
     def distance(self, night: NightBlocks) -> float:
         """Return the largest distance of a night's conditions from the baseline's, in their sd."""

@@ -141,8 +141,8 @@ PRESENT_NIGHTS, PRESENT_OF_RAMP = 10, 3
 # 48 lives on machines by others less than 2.2 on two nights in a row. A meter or a tag of another
 # motor, a clock that drifts, a meter that is damped or late leave 10 to 60 times (5 to 50 %).
 LEAST_MISFIT, MISFIT_RATIO, MISFIT_NIGHTS = 0.05, 3.0, 2
-# A meter is stuck whose flow varies by less than this share of what the expected does. Spread of
-# conditions below which they are the same; blocks that a term of them needs.
+# A meter is stuck whose flow varies, over its mean, by less than this share of what the expected
+# does. Spread of conditions below which they are the same; blocks that a term of them needs.
 LEAST_RESPONSE, LEAST_SPREAD, BLOCKS_A_TERM = 0.25, 1e-6, 1.5
 
 # -- after a change --------------------------------------------------------------------------------

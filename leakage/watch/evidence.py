@@ -35,7 +35,6 @@ class Window:
     information: Array
     score: Array
     distance: Array  # Of each night's operating conditions from the baseline's, shape (n,).
-    misfit: Array  # Share of each night's flow that its conditions do not explain, shape (n,).
     # ln of how much likelier each night was as an odd night, shape (n,); 0 in the baseline.
     odd: Array
     # before, score_before: Prior, and what the nights before the window say, shapes (q, q) and
@@ -46,9 +45,7 @@ class Window:
     def __len__(self) -> int:
         return len(self.days)
 
-    def with_night(
-        self, day: int, information: Array, score: Array, distance: float, misfit: float
-    ) -> Window:
+    def with_night(self, day: int, information: Array, score: Array, distance: float) -> Window:
         """Return the window with a night more."""
         return replace(
             self,
@@ -56,9 +53,13 @@ class Window:
             information=np.concatenate([self.information, information[None]]),
             score=np.concatenate([self.score, score[None]]),
             distance=np.append(self.distance, distance),
-            misfit=np.append(self.misfit, misfit),
             odd=np.append(self.odd, 0.0),
         )
+
+    def only(self, stays: Mask) -> Window:
+        """Return the window with some of its nights alone."""
+        of_nights = ("days", "information", "score", "distance", "odd")
+        return replace(self, **{name: getattr(self, name)[stays] for name in of_nights})
 
     def from_night(self, first: int, before: Array, score_before: Array) -> Window:
         """Return the nights from a place on, behind other figures; none was odd so far."""
@@ -67,7 +68,6 @@ class Window:
             self.information[first:],
             self.score[first:],
             self.distance[first:],
-            self.misfit[first:],
             np.zeros(len(self) - first),
             before,
             score_before,

@@ -1,4 +1,4 @@
-"""Odd nights: a single night is no change, and those that come again and again are a state."""
+"""Odd nights, of which a single one is no change, and nights whose channels lie apart."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 from leakage.arrays import Array
 from leakage.watch import choices
-from leakage.watch.causes import ODD_NIGHTS
-from leakage.watch.evidence import STEP, Evidence, Places, Window
-from leakage.watch.nights import NOW_AND_THEN, Change, Estimate
-from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, WatchState
+from leakage.watch.causes import CHANNELS, ODD_NIGHTS
+from leakage.watch.evidence import STEP, Evidence, Places, Sums, Window
+from leakage.watch.nights import NOW_AND_THEN, STEPS, Change, Estimate
+from leakage.watch.state import NOTHING, UNCHANGED, ChangeInForce, WatchState, on_first_baseline
 
 
 def of_odd_night(evidence: Evidence, window: Window, starts: Places, by_start: Array) -> Array:
@@ -104,3 +104,37 @@ def with_odd_nights(state: WatchState) -> WatchState:
     )
     in_force = ChangeInForce(change, state.baseline.leakage_flows, 1.0, UNCHANGED)
     return replace(state, in_force=in_force, often=NOTHING)
+
+
+def with_misfit(state: WatchState, day: int, misfit: float) -> WatchState:
+    """Return the state with how much of a night's flow its conditions leave unexplained.
+
+    Two nights in a row beyond the limit begin that the channels lie apart, and two within end it.
+    """
+    limit = max(choices.LEAST_MISFIT, choices.MISFIT_RATIO * state.usual_misfit)
+    misfits = (*state.misfits, misfit)[-choices.MISFIT_NIGHTS :]
+    beyond = [last > limit for last in misfits]
+    apart = state.apart
+    if not any(beyond):
+        apart = ()
+    elif not apart and len(beyond) == choices.MISFIT_NIGHTS and all(beyond):
+        apart = (state.day if len(state.window) else day, day)
+    return replace(state, misfits=misfits, apart=apart)
+
+
+def without_apart(state: WatchState, since: int, n_last: int) -> WatchState:
+    """Return the state without the nights from a day on whose channels lay apart, but so many."""
+    window = state.window
+    stays = (window.days < since) | (np.arange(len(window)) >= len(window) - n_last)
+    window = window.only(stays)
+    dropped = int(np.count_nonzero(~stays))
+    sums = Sums.of(window, state.wander, state.causes.basis)
+    return replace(state, window=window, sums=sums, n_nights=state.n_nights - dropped)
+
+
+def channels_apart(state: WatchState) -> Change:
+    """Return as a change that the flow follows the other channels no more."""
+    since, detected_on = state.apart
+    size = on_first_baseline(state, slice(-1, None))
+    dates, sole = (since, since, since), {CHANNELS: 1.0}
+    return Change(CHANNELS, 1.0, sole, (), size.value > 0.0, STEPS, *dates, detected_on, size)

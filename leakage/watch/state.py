@@ -17,14 +17,13 @@ from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import BACK, CHANNELS, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
+from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import Causes, Evidence, Parts, Sums, Window
 from leakage.watch.nights import (
     FLUSHING,
     KNOWN,
     RAMPS,
-    STEPS,
     Change,
     Estimate,
     Machine,
@@ -195,6 +194,9 @@ class WatchState:
     in_force: ChangeInForce | None = None  # The change in force; None: none is detected.
     crossing: Crossing | None = None  # The event with which the window begins, if any.
     undone: Cause | None = None  # The cause that undoes what was adopted, if anything was.
+    misfits: tuple[float, ...] = ()  # Of the last nights.
+    # Since when the flow follows the other channels no more, and the day on which that was clear.
+    apart: tuple[int, ...] = ()
 
     @property
     def day(self) -> int:
@@ -338,13 +340,19 @@ def _as_measured(state: WatchState, nights: slice) -> Estimate:
     """Return the same, with what an event has moved."""
     level = state.level.mean(nights).scaled(state.of_leakage)
     grown = 1.0 + state.carried.value
-    # The flushing that is not known scales a change of the leakage. What the model misses is common
-    # to all nights since the baseline, and a change is as uncertain as the model's own shape.
-    baseline = state.baseline
-    by_model = baseline.model_error * math.hypot(choices.LEVEL_BY_MODEL, level.value)
-    own_sd = math.hypot(level.sd, level.value * baseline.leakage_share_error, by_model)
+    # The flushing that is not known scales a change of the leakage.
+    own_sd = math.hypot(level.sd, level.value * state.baseline.leakage_share_error)
     sd = math.hypot(grown * own_sd, (1.0 + level.value) * state.carried.sd)
     return Estimate(grown * (1.0 + level.value) - 1.0, sd)
+
+
+def with_model_error(state: WatchState, change: Estimate) -> Estimate:
+    """Return a change with what the model misses, which is common to all nights since the baseline.
+
+    A change is as uncertain, too, as the model's own shape. Between two levels it cancels.
+    """
+    by_model = state.baseline.model_error * math.hypot(choices.LEVEL_BY_MODEL, change.value)
+    return Estimate(change.value, math.hypot(change.sd, by_model))
 
 
 def present(state: WatchState) -> Estimate:
@@ -371,7 +379,7 @@ def nights_beyond(state: WatchState) -> int:
     last = len(state.window)
     sides = []
     for place in range(last - 1, max(last - 3, -1), -1):
-        night = on_first_baseline(state, slice(place, place + 1))
+        night = with_model_error(state, on_first_baseline(state, slice(place, place + 1)))
         sides.append(1 if night.lower > limit else -1 if night.upper < -limit else 0)
     if not sides[0]:
         return 0
@@ -385,7 +393,7 @@ def mean_change(state: WatchState) -> Estimate:
     their operating conditions is common to both. Of an adopted change, as it settled, until the
     present change is known well enough to contradict it.
     """
-    now, in_force = present(state), state.in_force
+    now, in_force = with_model_error(state, present(state)), state.in_force
     if in_force is None or in_force.prior is not None or not now.holds_zero:
         return now
     change = in_force.settled
@@ -440,45 +448,13 @@ def probability_back(state: WatchState) -> float:
 
 
 def reported_change(state: WatchState) -> Change | None:
-    """Return the change that is reported, None where there is none or its interval holds 0.
-
-    Nothing is said of the motor by channels that do not belong together.
-    """
-    if (unlike := _channels_apart(state)) is not None:
-        return unlike
+    """Return the change that is reported, None where there is none or its interval holds 0."""
     change = change_in_force(state)
     probability = probability_back(state)
     if change is not None and probability > choices.MOSTLY:
         candidates = {BACK: probability}
         return replace(change, cause=BACK, probability=probability, candidates=candidates, alike=())
     return None if is_contradicted(state) else change
-
-
-def usual_of(misfit: Array) -> float:
-    """Return the most of a baseline's nights; inf where most of them are too short to tell."""
-    known = misfit[np.isfinite(misfit)]
-    return float(known.max()) if 2 * len(known) >= len(misfit) else math.inf
-
-
-def _channels_apart(state: WatchState) -> Change | None:
-    """Return that the flow follows the other channels no more; None where it does.
-
-    Two nights in a row begin it, and two that follow end it.
-    """
-    window, gap = state.window, choices.MISFIT_NIGHTS
-    limit = max(choices.LEAST_MISFIT, choices.MISFIT_RATIO * state.usual_misfit)
-    places = np.flatnonzero(window.misfit > limit)
-    if not len(places) or len(window) - 1 - places[-1] >= gap:
-        return None
-    breaks = np.flatnonzero(np.diff(places) > gap)
-    run = places[breaks[-1] + 1 if len(breaks) else 0 :]
-    pairs = np.flatnonzero(np.diff(run) == 1)
-    if not len(pairs):
-        return None
-    since, detected_on = window.days[run[pairs[0] :][:gap]].tolist()
-    size = on_first_baseline(state, slice(-1, None))
-    dates, sole = (since, since, since), {CHANNELS: 1.0}
-    return Change(CHANNELS, 1.0, sole, (), size.value > 0.0, STEPS, *dates, detected_on, size)
 
 
 def change_in_force(state: WatchState) -> Change | None:

@@ -35,6 +35,7 @@ from leakage.watch.causes import ODD_NIGHTS
 from leakage.watch.circuit import circuit_change
 from leakage.watch.evidence import Sums
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
+from leakage.watch.odd_nights import channels_apart, with_misfit, without_apart
 from leakage.watch.state import (
     WatchState,
     all_causes,
@@ -44,8 +45,11 @@ from leakage.watch.state import (
     nights_beyond,
     on_first_baseline,
     reported_change,
+    with_model_error,
 )
 
+# Distance of operating conditions from the baseline's that is no chance.
+OTHER_CONDITIONS = choices.OPERATING_FREE + choices.OPERATING_OTHER
 # Fields of a state that are given, or made of the others.
 NOT_STORED = ("machine", "settings", "sums", "causes")
 
@@ -74,7 +78,14 @@ class Watch:
         `night`: Its blocks; later than all nights before. `earlier`: The nights from a day on up to
         this one, which are asked for where a baseline period begins.
         """
-        state = adopted(with_night(self.state, night))
+        misfit = self.state.baseline.misfit(night)
+        state = with_night(with_misfit(self.state, night.day, misfit), night)
+        if state.apart:
+            # Nothing is learned of the motor by channels that do not belong together.
+            return Watch(shortened(state))
+        if self.state.apart:
+            state = without_apart(state, self.state.apart[0], choices.MISFIT_NIGHTS)
+        state = adopted(state)
         if state.is_settling:
             state = settling(state)
             if state.is_settling:
@@ -91,7 +102,10 @@ class Watch:
 
         `machine`: As it is behind it, with its oil. `spread`: Of the step that the event may make.
         """
-        return Watch(across_event(self.state, machine, day, spread))
+        state = self.state
+        if state.apart and state.window.days[:1] < state.apart[0]:
+            state = without_apart(state, state.apart[0], 0)
+        return Watch(across_event(state, machine, day, spread))
 
     def beside(self, others: Sequence[Watch]) -> Watch:
         """Return the watch that knows what the circuit's other motors did since its own change.
@@ -115,7 +129,8 @@ class Watch:
 
     def verdict(self) -> Verdict:
         """Return what is known after the newest night."""
-        state, change = self.state, reported_change(self.state)
+        state = self.state
+        change = channels_apart(state) if state.apart else reported_change(state)
         limit = state.settings.limit
         return Verdict(
             state.day,
@@ -124,13 +139,13 @@ class Watch:
             limit,
             state.baseline.model_error,
             change,
-            on_first_baseline(state, slice(-1, None)),
+            with_model_error(state, on_first_baseline(state, slice(-1, None))),
             mean_change(state),
             state.smallest,
             nights_beyond(state) > 0,
-            float(np.nanmax(state.window.misfit[-choices.MISFIT_NIGHTS :], initial=0.0)),
+            max((misfit for misfit in state.misfits if misfit > 0.0), default=0.0),
             state.usual_misfit,
-            bool(state.window.distance[-1] > choices.OPERATING_FREE),
+            bool((state.window.distance[-2:] > OTHER_CONDITIONS).all()),
         )
 
     def change_since(self, day: int, first: int, last: int) -> Estimate | None:
@@ -209,7 +224,9 @@ class Watch:
 
 def with_night(state: WatchState, night: NightBlocks) -> WatchState:
     """Return the state with a further night, of which nothing is detected yet."""
-    window = state.window.with_night(night.day, *state.baseline.of_night(night))
+    information, score = state.baseline.information(night)
+    distance = state.baseline.distance(night)
+    window = state.window.with_night(night.day, information, score, distance)
     sums = state.sums.extended(window, state.wander, len(window) - 1)
     return replace(state, window=window, sums=sums, n_nights=state.n_nights + 1)
 

@@ -154,8 +154,10 @@ def contradicted(paths: Array, residuals: Array, middle_s: Array, errors: BlockE
     return wider
 
 
-def unexplained_share(flow: Array, expected: Array, conditions: Array) -> float:
-    """Return the share of a night's mean flow that its conditions do not explain; nan: too short.
+def unexplained_share(flow: Array, expected: Array, conditions: Array, least: float) -> float:
+    """Return the share of a night's flow that its conditions do not explain; nan: too short.
+
+    Of the mean flow, measured or expected, and of `least` [l/min] at least.
 
     Root mean square of what stays of the flow, shape (b,), beside any smooth function of the
     expected flow, shape (b,), and of temperature, pressure and speed, shape (b, 3): wear of any
@@ -173,6 +175,7 @@ def unexplained_share(flow: Array, expected: Array, conditions: Array) -> float:
         return math.nan
     fitted, _, rank, _ = np.linalg.lstsq(design, flow, rcond=choices.LEAST_SPREAD)
     left, freedom = flow - design @ fitted, len(flow) - int(rank)
-    if flow.std() < choices.LEAST_RESPONSE * expected.std():
+    if flow.std() * expected.mean() < choices.LEAST_RESPONSE * expected.std() * flow.mean():
         left, freedom = flow - expected * (flow.mean() / expected.mean()), len(flow)
-    return math.sqrt(float(left @ left) / freedom) / max(float(flow.mean()), 1e-9)
+    scale = max(float(flow.mean()), float(expected.mean()), least)
+    return math.sqrt(float(left @ left) / freedom) / scale

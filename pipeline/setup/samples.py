@@ -182,10 +182,10 @@ def misplaced(channels: Mapping[str, RawChannel]) -> dict[str, str]:
             differs = value[first] != value[order.repeated]
             shares["duplicate_time"][name] = np.count_nonzero(differs) / n
         shares["backward_time"][name] = len(order.backward) / n
-    time_us = channels["speed"].time_us
     faults = dict[str, str]()
     for reason, by_name in shares.items():
         if most := [name for name, share in by_name.items() if share > MOST_MISPLACED[reason]]:
+            time_us = channels[most[0]].time_us
             is_turned = reason == "backward_time" and np.mean(np.diff(time_us) < 0) > 0.5
             how = "its rows are newest first: have them written oldest first" if is_turned else ""
             read = f" (the first stamp is read as {utc(time_us[0]):%Y-%m-%d %H:%M:%S} UTC)"

@@ -213,6 +213,8 @@ def good_codes(words: Sequence[str], cells: Iterable[str]) -> tuple[str | int, .
     True
     >>> good_codes(["status", "code"], ["0"]), good_codes(["quality"], ["0", "1"])
     ((0,), None)
+    >>> good_codes(["error"], ["0", "200"]), good_codes(["quality"], ["0.5", "200"])
+    (None, None)
     """
     seen = tuple(dict.fromkeys(cells))
     numbers = {float(cell.replace(",", ".")) for cell in seen if is_number(cell)}
@@ -221,10 +223,12 @@ def good_codes(words: Sequence[str], cells: Iterable[str]) -> tuple[str | int, .
         if is_doubt:
             return tuple(cell for cell in seen if cell.casefold() == "false") or None
         return tuple(cell for cell in seen if is_in(_words(cell)[:1], "quality", "good")) or None
+    # Of an error nobody knows which number is good; a deviation from a setpoint has any.
+    is_any = is_in(words, "quality", "fault") or any(number % 1 or number < 0 for number in numbers)
     is_code = tuple(words[-2:]) == ("status", "code") or is_in(words, "quality", "code")
     rules = (
-        (OPC_DA_GOOD[0] <= max(numbers) < OPC_DA_CODES, OPC_DA_GOOD),
-        (max(numbers) >= OPC_UA_UNCERTAIN or (is_code and numbers == {0.0}), (0,)),
+        (not is_any and OPC_DA_GOOD[0] <= max(numbers) < OPC_DA_CODES, OPC_DA_GOOD),
+        ((not is_any and max(numbers) >= OPC_UA_UNCERTAIN) or (is_code and numbers == {0.0}), (0,)),
         (is_in(words, "quality", "validity") and numbers <= {0.0, 1.0, 2.0}, (1,)),
         (is_doubt and numbers <= {0.0, 1.0}, (0,)),
     )

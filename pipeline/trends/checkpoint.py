@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pipeline.config.hashes import hash_of, own_version
 
 # Raise it when a watch is stored as other arrays.
-CHECKPOINT_VERSION = 5
+CHECKPOINT_VERSION = 6
 # A structured array, a record for each night.
 Records = NDArray[Any]
 

@@ -156,7 +156,9 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
     if night.is_refused and night.silent > 1:
         return "See to the reason of the last nights: nothing is known of the motor since."
     if night.state == "insufficient":
-        return ELSEWHERE if night.verdict is not None and night.verdict.is_elsewhere else WAIT
+        verdict = night.verdict
+        is_elsewhere = verdict is not None and verdict.is_elsewhere and verdict.smallest is not None
+        return ELSEWHERE if is_elsewhere else WAIT
     return "Nothing to do."
 
 
@@ -233,7 +235,7 @@ def _quiet(night: NightState, since: dt.date) -> str:
     verdict = night.verdict
     assert verdict is not None
     words = f"too few nights since {day(since)} to show a change"
-    if verdict.is_elsewhere:
+    if verdict.is_elsewhere and verdict.smallest is not None:
         words = "pressure, speed or oil are other than in the baseline: no change would show"
     if night.state != "insufficient" and verdict.smallest is not None:
         percent = max(math.ceil(100.0 * verdict.smallest), 1)
@@ -286,7 +288,7 @@ def _channels_apart(night: NightState, change: Change) -> str:
     missed, usual = 100.0 * verdict.misfit, 100.0 * verdict.usual_misfit
     return (
         f"{WHAT[change.cause]} {_since(change)}: they leave {missed:.0f} % of it unexplained, at "
-        f"most {usual:.1g} % over the baseline; as measured {_newest_night(night)}"
+        f"most {max(usual, 0.1):.1f} % over the baseline; as measured {_newest_night(night)}"
     )
 
 

@@ -86,7 +86,6 @@ class Dense:
             np.array([part @ rest for part, rest in zip(weighted, self.residuals, strict=True)]),
             DISTANCE,
             np.zeros(len(DAYS)),
-            np.zeros(len(DAYS)),
             PRIOR,
             np.zeros(Q_UNKNOWNS),
         )

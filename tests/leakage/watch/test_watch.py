@@ -263,6 +263,29 @@ def test_an_odd_night_at_other_conditions_never_warns(apart: tuple[float, float]
     assert adoption.detect_change(state).evidence < state.settings.limit
 
 
+@pytest.mark.parametrize("by", [1.0, 1.3])
+def test_channels_that_lie_apart_are_one_fault_and_leave_nothing_behind(by: float) -> None:
+    """The tag of another motor from night 20 to 34, over a dated change of oil: its first day and
+    that of its detection stay, and behind it the motor is as it was."""
+    nights = Plant().nights(44, 1)
+    generator = np.random.default_rng(5)
+    for place in range(20, 35):
+        flow = by * generator.permutation(nights[place].flow)
+        nights[place] = replace(nights[place], flow=flow)
+    watches = [Watch.begin(CB560, nights[:FIRST], WatchSettings())]
+    for place in range(FIRST, len(nights)):
+        before = watches[-1]
+        if place == 28:
+            before = before.across_event(CB560, nights[place].day, 0.05)
+        watches.append(before.after(nights[place], earlier_of(nights[: place + 1])))
+    changes = {watch.day: watch.verdict().change for watch in watches}
+    apart = [change for change in changes.values() if change and change.cause == "channels"]
+    begin = nights[20].day
+    assert {(change.since, change.detected_on) for change in apart} == {(begin, begin + 1)}
+    assert [day for day, change in changes.items() if change] == list(range(begin + 1, begin + 16))
+    assert abs(watches[-1].verdict().newest_night.value) < 0.02
+
+
 def test_odd_nights_again_and_again() -> None:
     """Detected by the third of them; by chance one of the seeds may take them for a step."""
     plant = Plant(growth=lambda night: 1.1 if night >= 25 and night % 3 == 0 else 1.0)

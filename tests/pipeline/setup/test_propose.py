@@ -242,6 +242,22 @@ CASES: Mapping[str, Case] = {
         },
         {"a": {DP: "dp [bar]|bar", T: "T [°C]|degC", N: "n [rpm]|rpm"}},
     ),
+    "what is filtered, or of a geared motor, is the motor's": Case(
+        {
+            "a.csv": text(
+                "pressure A filtered [bar],pressure B filtered [bar],gear motor oil temp [°C],"
+                "n [rpm],Q [l/min]",
+                "150,10,50,30,0.9",
+            )
+        },
+        {
+            "a": {
+                "high_port_pressure": "pressure A filtered [bar]|bar",
+                "low_port_pressure": "pressure B filtered [bar]|bar",
+                T: "gear motor oil temp [°C]|degC",
+            }
+        },
+    ),
     "of statistics in rows the means are read": Case(
         {"a.csv": several(f"statistic,{FOUR}", *(f"{of},{CELLS}" for of in ("avg", "max", "min")))},
         {"a": {"motor_column": "statistic", "motor_name": "avg"}},
