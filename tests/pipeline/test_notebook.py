@@ -82,7 +82,7 @@ def test_the_same_figures_as_the_nightly_run_to_the_last_bit(tmp_path: Path, mor
     spec = load_motor(tmp_path, motor_toml("M1", more=more))
     time_us, values = night_like_the_demo_s(spec)
     prepared = prepare(as_frame(time_us, values), settings=spec.settings)
-    prepared = replace(prepared, tolerances=tolerances(spec))
+    prepared = replace(prepared, tolerances=tolerances(spec, NIGHT))
     outcome = fit_night(spec, night_of(), raw(time_us, values))
     assert outcome.status == OK
     fitted = prepared.fit(spec.motor(NIGHT, "none"))
