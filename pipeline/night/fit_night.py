@@ -209,7 +209,7 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...]) -> None:
             raise Insufficient(
                 INSUFFICIENT_DATA,
                 f"the speed is that of standstill all night, while the pressure difference goes "
-                f"from {low:.0f} to {high:.0f} bar: is the speed sensor dead?",
+                f"from {low:.0f} to {high:.0f} bar (a dead speed sensor?)",
             )
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < MINIMUM_KEPT_SHARE:

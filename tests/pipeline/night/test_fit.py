@@ -238,7 +238,7 @@ LIMITS: dict[str, dict[str, Any]] = {
             STOOD_STILL, ["the motor stood still all night"], id="stood still",
         ),
         pytest.param(
-            "", {"speed": STILL}, INSUFFICIENT_DATA, ["is the speed sensor dead?"], id="dead speed",
+            "", {"speed": STILL}, INSUFFICIENT_DATA, ["a dead speed sensor?"], id="dead speed",
         ),
         pytest.param(
             "leakage_flow", {"speed": np.where(PLACE < 60, 0.0, MOVING.speed_rpm)},
