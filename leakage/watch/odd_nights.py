@@ -1,4 +1,4 @@
-"""Odd nights, of which a single one is no change, and nights whose channels lie apart."""
+"""Odd nights, which are no change if single, and nights whose channels lie apart."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ class Watch:
         """Return the watch after the next night.
 
         `night`: Its blocks; later than all nights before. `earlier`: The nights from a day on up to
-        this one, which are asked for where a baseline period begins.
+        this night, which are asked for where a baseline period begins.
         """
         misfit = self.state.baseline.misfit(night)
         state = with_night(with_misfit(self.state, night.day, misfit), night)

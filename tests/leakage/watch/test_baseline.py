@@ -51,6 +51,17 @@ def test_coefficients_of_the_fitted_machine_are_found_again() -> None:
     assert (baseline.all_paths[:4] * baseline.share).sum() == pytest.approx(1.0, abs=0.02)
 
 
+def test_a_drive_that_counts_backwards_has_a_coefficient_all_the_same() -> None:
+    """However small it is beside 1: a speed's sign is that of a sensor."""
+    turned = np.array([-COEFFICIENTS[0], 1.0, 1.0, 1.0])
+    nights = [replace(night, drives=night.drives * turned) for night in Plant().nights(15, 1)]
+    before = baseline_of(CB560, Plant().nights(15, 1)).columns.theta
+    assert np.abs([night.drives[:, 0] for night in nights]).mean() < 1.0
+    assert baseline_of(CB560, nights).columns.theta[0] == pytest.approx(
+        before[0] / COEFFICIENTS[0], rel=1e-3
+    )
+
+
 @pytest.mark.parametrize(
     "plant",
     [

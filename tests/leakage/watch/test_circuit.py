@@ -46,6 +46,24 @@ def test_it_is_common_where_most_others_show_the_like(others: list[float], is_co
     assert (asked.probability > 0.5) == is_common
 
 
+@pytest.mark.parametrize(
+    ("size", "other", "n_alike"),
+    [
+        # Within two standard deviations of their difference, 0.036, though two and a half times.
+        (Estimate(0.02, 0.01), Estimate(0.05, 0.015), 2),
+        (Estimate(0.02, 0.001), Estimate(0.05, 0.001), 0),
+        # Half as much again, however well both are known.
+        (Estimate(0.04, 0.001), Estimate(0.06, 0.001), 2),
+    ],
+)
+def test_the_like_is_as_large_within_errors_or_nearly(
+    size: Estimate, other: Estimate, n_alike: int
+) -> None:
+    asked = circuit_change(size, [other, other])
+    assert asked is not None
+    assert asked.n_alike == n_alike
+
+
 def test_one_other_motor_is_no_vote() -> None:
     assert circuit_change(Estimate(0.1, 0.01), [Estimate(0.1, 0.01)]) is None
 
