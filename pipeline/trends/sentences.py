@@ -365,7 +365,7 @@ def headline(row: Mapping[str, Any]) -> str:
     quantity = "case drain flow" if row["cause"] in NO_LEAKAGE else "leakage"
     since = f" since {day(row['onset'])}" if row["onset"] else ""
     if row["cause"] == "channels":
-        return f"{WHAT['channels']}{since}"
+        return f"{WHAT['channels']}{since}; as measured {quantity} {size}"
     part = f", {part_of(row['cause'])}" if row["cause"] else ""
     return f"{quantity} {size}{since}{part}"
 
