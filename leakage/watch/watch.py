@@ -103,7 +103,7 @@ class Watch:
         `machine`: As it is behind it, with its oil. `spread`: Of the step that the event may make.
         """
         state = self.state
-        if state.apart and state.window.days[:1] < state.apart[0]:
+        if state.apart and np.any(state.window.days < state.apart[0]):
             state = without_apart(state, state.apart[0], 0)
         return Watch(across_event(state, machine, day, spread))
 
