@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 # Calls of the test that is running: what `covers` of conftest.py holds declarations against.
 CALLS: list[Result] = []
@@ -91,17 +93,23 @@ def _in_process(arguments: tuple[str, ...], folder: Path, variables: dict[str, s
 
 def _here(arguments: tuple[str, ...], folder: Path, variables: dict[str, str]) -> Ended:
     from pipeline.cli import main
+    from pipeline.messages import FORM
 
     out, err, handler, thresholds = (
         io.StringIO(), io.StringIO(), signal.getsignal(signal.SIGTERM), gc.get_threshold(),
     )  # fmt: skip
+    # Not by patch.dict, which at its end takes every variable away and sets it again: a thread of
+    # a native library that asks for one in between may end the process.
     with (
-        patch.dict(os.environ, variables),
+        pytest.MonkeyPatch.context() as patched,
         patch.object(sys, "argv", ["motor-leakage", *arguments]),
         contextlib.chdir(folder),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
+        # The command sets the form of its messages, too.
+        for name, value in ({FORM: os.environ.get(FORM, "")} | variables).items():
+            patched.setenv(name, value)
         code = _code_of(main)
     signal.signal(signal.SIGTERM, handler)
     gc.set_threshold(*thresholds)
