@@ -61,7 +61,7 @@ def as_markdown(notebook: Path) -> str:
 
 
 def _outputs(notebook: Path, cells: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-    """Outputs by cell of the executed notebook; none where it is not that of these cells."""
+    """Return outputs by cell of the executed notebook; none where it is not that of these cells."""
     executed = ROOT / "out" / "notebooks" / notebook.name
     made = json.loads(executed.read_text("utf-8"))["cells"] if executed.exists() else []
     if [cell["source"] for cell in made] != [cell["source"] for cell in cells]:

@@ -13,20 +13,20 @@ FARTHEST_AHEAD = dt.timedelta(days=1)
 
 
 def microseconds(time: dt.datetime) -> int:
-    """A time as UTC microseconds."""
+    """Return a time as UTC microseconds."""
     return (time - EPOCH) // MICROSECOND
 
 
 def utc(time_us: int) -> dt.datetime:
-    """A time stamp as the tables hold it."""
+    """Return a time stamp as the tables hold it."""
     return EPOCH + int(time_us) * MICROSECOND
 
 
 def now() -> dt.datetime:
-    """The time of this machine."""
+    """Return the time of this machine."""
     return dt.datetime.now(dt.UTC)
 
 
 def latest_us(clock: dt.datetime | None = None) -> int:
-    """Latest time that a log may hold by a clock, this machine's by default [µs since 1970]."""
+    """Return latest time of a log, by this machine's clock by default [µs since 1970]."""
     return microseconds((clock or now()) + FARTHEST_AHEAD)

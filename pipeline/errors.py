@@ -24,7 +24,7 @@ class MotorLeakageError(Exception):
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
-    r"""Text of a stranger's file as a line that a terminal, a table and a page can show.
+    r"""Return text of a stranger's file as a line that a terminal, a table and a page can show.
 
     What does not print (control characters, line ends, marks that turn the direction of writing,
     bytes of a name that are no UTF-8) becomes its escape; the middle of longer text is left out.

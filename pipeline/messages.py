@@ -22,7 +22,7 @@ class JsonLine(logging.Formatter):
     """A record as a line of JSON: event, time (UTC), level, logger, message, traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Return the line."""
         line = {
             "event": "log",
             "time": dt.datetime.fromtimestamp(record.created, dt.UTC).isoformat(),
@@ -71,7 +71,7 @@ def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str
 
 
 def plain(name: str) -> str:
-    """A name of the tables with blanks for underscores."""
+    """Return a name of the tables with blanks for underscores."""
     return name.replace("_", " ")
 
 
@@ -81,12 +81,12 @@ def as_sentence(words: str) -> str:
 
 
 def statement(sentence: str, advice: str) -> str:
-    """What is reported of a motor and what to do, as pages, mail and terminal say it."""
+    """Return what is reported of a motor and what to do, as pages, mail and terminal say it."""
     return " ".join(as_sentence(text) for text in (sentence, advice) if text)
 
 
 def figure(value: float | None, digits: int = 3) -> str:
-    """A figure with a number of significant digits, never in powers of ten above that.
+    """Return a figure with a number of significant digits, never in powers of ten above that.
 
     Examples
     --------

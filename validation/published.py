@@ -42,7 +42,7 @@ def viscosity_pa_s(temperature_c: Array) -> Array:
 
 
 def log_of(loss_factor_m3: float, minutes: float, rng: np.random.Generator) -> pl.DataFrame:
-    """A log at 1 Hz over pressures, temperatures and speeds, with white noise of the meter."""
+    """Return log at 1 Hz over pressures, temperatures and speeds, with a meter of white noise."""
     t = np.arange(60.0 * minutes)
     pressure = 130.0 + 110.0 * np.sin(2.0 * np.pi * t / 97.0)
     temperature = 48.0 + 8.0 * np.sin(2.0 * np.pi * t / 1301.0)

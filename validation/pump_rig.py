@@ -102,7 +102,7 @@ def _periods(rows: pl.DataFrame) -> str:
 
 
 def law_of(fleet: Path, tables: Tables, record: Record) -> tuple[Motor, dict[str, float]]:
-    """The motor type's law, and its coefficients from the training blocks of the warm part."""
+    """Return the motor type's law, and its coefficients from training blocks of the warm part."""
     (fit,) = labelled(tables, record)
     law = load_fleet(fleet).motors[0].motor(fit["night"], "estimated")
     return law, dict(zip((path.name for path in law.paths), fit["coefficients"], strict=True))
@@ -178,7 +178,7 @@ def _quarters(tables: Tables, record: Record) -> list[Row]:
 
 
 def _leakage(fit: Fit) -> Row:
-    """Reference leakage, and its ± from the samples and in total."""
+    """Return reference leakage, and its ± from the samples and in total."""
     return {
         "leakage, l/min": f"{fit[VALUE]:.3f}",
         "± of samples": f"{fit['fitted_leakage_statistical_l_per_min']:.3f}",
@@ -222,7 +222,7 @@ def _root_mean_square_change(pairs: Sequence[tuple[Fit, Fit]]) -> float:
 
 
 def _slope_percent_per_k(pairs: Sequence[tuple[Fit, Fit]]) -> float:
-    """Reference leakage of the first windows over their temperature."""
+    """Return reference leakage of the first windows over their temperature."""
     temperatures = [then["mean_temperature_c"] for then, _ in pairs]
     logarithms = np.log([then[VALUE] for then, _ in pairs])
     return 100.0 * float(np.polyfit(temperatures, logarithms, 1)[0])

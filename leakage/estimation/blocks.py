@@ -55,7 +55,7 @@ def factor(z: Array) -> Array:
 
 
 def factors(z: Array, borders: NDArray[np.int64]) -> Array:
-    """Triangular factors of consecutive blocks of samples, shape (b, c, c), each as of `factor`.
+    """Return triangular factors of consecutive blocks of samples, (b, c, c), each as of `factor`.
 
     `borders` are the first row of each block and, last, the end; shape (b + 1,), not decreasing.
     """
@@ -265,7 +265,7 @@ def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
 
 
 def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ...]:
-    """Blocks for storage: neighbours of the same part merged until at most `maximum` are left."""
+    """Return blocks to store: neighbours of a part merged until at most `maximum` are left."""
     runs = [list(run) for _, run in groupby(blocks, lambda block: block.part)]
     size = 1
     while sum(-(-len(run) // size) for run in runs) > maximum and size < len(blocks):
@@ -277,7 +277,7 @@ def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ..
 
 
 def places_on_clock(begins_us: Times, ends_us: Times) -> tuple[NDArray[np.int64], float]:
-    """Places of blocks on the clock, counted from the first in their usual length, and that [s].
+    """Return places of blocks on the clock, counted in their usual length, and that [s].
 
     Examples
     --------

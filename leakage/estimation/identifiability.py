@@ -282,7 +282,7 @@ def judge_leakage(
     conditions: OperatingConditions,
     systematic_l_per_min: float = 0.0,
 ) -> LeakageJudgement:
-    """Leakage at a condition, with its interval from the joint distribution, and a verdict.
+    """Return leakage at a condition, with its interval from the joint distribution, and a verdict.
 
     `systematic_l_per_min` is the ± of sensors and of the model there. Within the samples' range
     ``identified`` where the whole half-width is at most 10 %, ``uncertain`` up to 25 %;
@@ -306,7 +306,7 @@ def judge_leakage(
 def _of_leakage(
     leakage: float, interval: Interval | None, beyond: tuple[bool, str], systematic: float
 ) -> tuple[str, str]:
-    """Verdict on a leakage and its reason: its range, then what it rests on, then its width."""
+    """Return verdict on a leakage and its reason by its range, what it rests on, and its width."""
     within_reach, outside = beyond
     if not within_reach:
         return "outside_fitted_range", outside
@@ -333,7 +333,7 @@ def is_outside(excitation: Excitation, conditions: OperatingConditions) -> bool:
 
 
 def _beyond(excitation: Excitation, conditions: OperatingConditions) -> tuple[bool, str]:
-    """True if a condition is within reach of the samples' ranges; and what lies outside them."""
+    """Return True if a condition is within reach of the samples, and what lies outside."""
     within, words = True, []
     for name, values, (low, high), unit in (
         ("pressure", conditions.pressure_difference_pa / 1e5, excitation.pressure_bar, "bar"),

@@ -118,7 +118,7 @@ def misfit(
 
 
 def _extended(rows: Array, theta: Array, about: Array) -> Array:
-    """Rows of blocks with the columns that a right model does not need in front, shape (b, r, c+5).
+    """Return rows of blocks with the columns a right model does not need in front, (b, r, c+5).
 
     The constant among them is the statistics' own column of ones.
     """

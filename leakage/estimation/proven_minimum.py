@@ -295,7 +295,7 @@ def coefficients_at(motor: Motor, free: Array) -> Array:
 
 
 def points_of(parameters: Sequence[Parameter], count: int, generator: np.random.Generator) -> Array:
-    """The configured point, then a Latin hypercube within the bounds, shape (W, parameters)."""
+    """Return the configured point, then a Latin hypercube within the bounds, (W, parameters)."""
     lower = np.array([parameter.minimum for parameter in parameters])
     upper = np.array([parameter.maximum for parameter in parameters])
     configured = np.array([parameter.value for parameter in parameters])

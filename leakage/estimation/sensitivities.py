@@ -114,7 +114,7 @@ def _channel_sources(tolerances: Tolerances) -> Iterator[Source]:
 
 
 def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
-    """Return a channel of the conditions, or without a name the flow, read too high."""
+    """Return disturbance by which a channel, or the flow where it has no name, reads too high."""
 
     def disturbed(window: Window) -> Window:
         if not field:
@@ -132,7 +132,7 @@ def _with_reading(field: str, offset: float, gain: float) -> Disturbance:
 
 
 def _with(changed: Motor) -> Disturbance:
-    """Return a constant of the motor is another."""
+    """Return the disturbance that makes the motor another."""
     return lambda window: window._replace(motor=changed)
 
 
@@ -252,7 +252,7 @@ def effects_elsewhere(
     disturbed = [source.disturbed(Window(motor, before, nothing)).motor for source in known]
 
     def changes(at: OperatingConditions) -> tuple[Array, Array]:
-        """By source, change of the regressors, and of the leakage that does not hang on θ."""
+        """Return by source the change of regressors, and of the leakage that does not hang on θ."""
         was = regressors(motor, at)[0]
         now = np.array([regressors(of, at)[0] for of in disturbed]).reshape(-1, len(was))
         moved = [

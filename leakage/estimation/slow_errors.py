@@ -86,7 +86,7 @@ class SlowErrors:
         return WIDENING if self.are_slow else 1.0
 
     def hides_level(self, number: Places) -> bool:
-        """True if blocks at these places of the clock hold too few of its turns to tell a level.
+        """Return True if blocks at these places of the clock hold too few turns to tell a level.
 
         A mean knows as much of an error of memory τ as T / 2τ independent stretches.
         """
@@ -95,7 +95,7 @@ class SlowErrors:
         return self.scales and stretches > duration
 
     def memory_s(self, block_s: float) -> float:
-        """Time over which the slow error forgets [s], from the length of a block; 0: none."""
+        """Return time in which the slow error forgets [s], from the length of a block; 0: none."""
         return -block_s / math.log(self.memory) if self.are_slow else 0.0
 
 
@@ -112,7 +112,7 @@ class Means(NamedTuple):
 
     @classmethod
     def along(cls, factors: Array, direction: Array, number: Places) -> Means:
-        """Of the factors of blocks, shape (b, c, c), along some combination of their columns."""
+        """Return means of the factors of blocks, (b, c, c), along a sum of their columns."""
         along = factors @ direction
         n = np.einsum("bi,bi->b", along, along)
         # A block without flow has nothing that an error could scale.
@@ -138,7 +138,7 @@ def slow_errors(
     whole: Array | None = None,
     scales: bool | None = None,
 ) -> SlowErrors:
-    """Memory, size and direction of slow errors; without memory where it cannot be estimated.
+    """Return memory, size and direction of slow errors; no memory where it cannot be estimated.
 
     `factors, number`: Triangular factors of the blocks in time order, shape (b, c, c), and the
     place of each on the clock, in blocks, shape (b,).
@@ -240,7 +240,7 @@ def with_level(factors: Array, number: Places, errors: SlowErrors) -> Array:
 
 
 def _design(whole: Array, fixed: Mask, values: Array) -> Array | None:
-    """Columns to an orthonormal basis of the free ones and to their least squares' errors."""
+    """Return what makes columns an orthonormal basis of the free ones and least squares' errors."""
     free = np.flatnonzero(~fixed)
     scale = np.linalg.norm(whole[:, free], axis=0)
     scale[scale == 0.0] = 1.0

@@ -80,7 +80,7 @@ class ClusterRobust:
     _scores: Array
 
     def interval(self, contrast: Array, level: float = 0.95) -> Interval | None:
-        """Interval of a combination of all coefficients; None where the samples do not span it."""
+        """Return interval of a sum of coefficients; None if the samples do not span it."""
         weights = self._weights(contrast)
         if weights is None:
             return None
@@ -111,7 +111,7 @@ class ClusterRobust:
         return result
 
     def correlation(self) -> Array:
-        """Correlation of the active estimates that collinearity alone causes, shape (k, k)."""
+        """Return correlation of the active estimates that collinearity alone causes, (k, k)."""
         inverse = self._to_basis.T @ self._to_basis
         deviation = np.sqrt(np.diag(inverse))
         result: Array = inverse / np.outer(deviation, deviation)

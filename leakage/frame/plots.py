@@ -67,7 +67,7 @@ def _shaded(time: NDArray[Any], parts: NDArray[np.str_]) -> Iterator[dict[str, A
 
 
 def plot_residuals(tests: ResidualAnalysis, period_s: float) -> Figure:
-    """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
+    """Plot autocorrelation of the errors, and correlation with each input, with 99 % bands."""
     panels = {"errors": tests.whiteness, **tests.independence}
     titles = [
         f"{name}:<br>{test.verdict}{'' if len(test.lags) else f', {test.reason}'}".replace("_", " ")

@@ -127,7 +127,7 @@ class FrameFit:
         return float(theta[at] - interval.half_width), float(theta[at] + interval.half_width)
 
     def predict(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
-        """Predicted drain flow of the rows of a frame [l/min], nan where a row is incomplete.
+        """Return predicted drain flow of the rows of a frame [l/min], nan in incomplete rows.
 
         Frame and columns as of :func:`fit_frame`, without the measured flow; None: the fit's
         samples.
@@ -170,7 +170,7 @@ class FrameFit:
         )
 
     def _total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
-        """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
+        """Return total ± of the leakage by the regressors of conditions [l/min]; nan: unknown."""
         contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
         known = self.identification.distribution
         intervals = [None if known is None else known.interval(contrast) for contrast in contrasts]
@@ -209,7 +209,7 @@ class FrameFit:
         return factor * reach * estimate.misfit.l_per_min
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
-        """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""
+        """Return tolerances of sensors carried through the fit; empty without, or beyond it."""
         if self.tolerances is None:
             return ErrorBudget(())
         rows = np.flatnonzero(self.used)
@@ -235,7 +235,7 @@ class FrameFit:
         )
 
     def summary(self) -> Summary:
-        """Summary: warnings first, then estimates with intervals and verdicts, then the fit."""
+        """Return warnings first, then estimates with intervals and verdicts, then the fit."""
         columns, misfit = self.columns(), self.estimate.misfit
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         parts = {"training": self.training, "validation": self.validation}
@@ -290,7 +290,7 @@ class FrameFit:
         return plots.plot(self.samples, self.parts, self.predict())
 
     def plot_residuals(self, part: str = "validation") -> Figure:
-        """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
+        """Plot autocorrelation of the errors, and correlation with each input, with 99 % bands."""
         from leakage.frame import plots
 
         period_s = self.samples.period_us / SECOND_US
@@ -299,7 +299,7 @@ class FrameFit:
     def plot_leakage(
         self, temperature_c: float | None = None, speed_rpm: float | None = None
     ) -> Figure:
-        """Leakage by path over pressure, with the total ± of the sum; at the means by default."""
+        """Plot leakage by path over pressure, with the total ±; at the means by default."""
         from leakage.frame import plots
 
         samples, charge = self.samples, self.samples.charge_over_case_bar
@@ -313,7 +313,7 @@ class FrameFit:
 
 
 def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:
-    """Values of samples on the rows of their frame; on the samples themselves without a frame."""
+    """Return values of samples on the rows of their frame; on the samples without a frame."""
     if frame is None:
         return values
     rows = np.full(len(samples.complete), np.nan)

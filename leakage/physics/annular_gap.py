@@ -135,7 +135,7 @@ class AnnularGap(Law):
     def gap_um_from_coefficient(
         self, coefficient_m3: ArrayLike, eccentricity: float = 0.0
     ) -> Array:
-        r"""Gap height of a loss factor at an eccentricity, [µm]: the inverse of `coefficient`.
+        r"""Return gap height [µm] of a loss factor and eccentricity: the inverse of `coefficient`.
 
         .. math:: h = \frac{1}{c} \left(\frac{6 l K}{n \pi r (1 + 1.5 e^2)}\right)^{1/3}
         """
@@ -185,7 +185,7 @@ class AnnularGap(Law):
         return (*figures, figure("film_thickness_ratio", "1", ratios))
 
     def _feasible(self, coefficient_m3: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible.
+        """Return gap heights [µm] and eccentricities that a loss factor and bounds leave possible.
 
         Heights at the largest and the smallest eccentricity are a factor 2.5^(1/3) = 1.357 apart
         where e is free between 0 and 1.

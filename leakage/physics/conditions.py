@@ -52,7 +52,7 @@ class OperatingConditions:
         speed_rpm: ArrayLike,
         charge_over_case_bar: ArrayLike | None = None,
     ) -> OperatingConditions:
-        """Conditions in the units of logs and tables; scalars are a sample, or every sample's.
+        """Return conditions in the units of logs and tables; scalars are every sample's.
 
         Examples
         --------
@@ -73,7 +73,7 @@ class OperatingConditions:
 
     @classmethod
     def joined(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
-        """Samples of some conditions, end to end; all single-sided, or all two-sided."""
+        """Return samples of some conditions, end to end; all single-sided, or all two-sided."""
         charges = [
             part.charge_over_case_pa for part in parts if part.charge_over_case_pa is not None
         ]

@@ -200,7 +200,7 @@ def total_flow_l_per_min(
     conditions: OperatingConditions,
     coefficients: Mapping[str, float] | None = None,
 ) -> Array:
-    """Flow over the drain-line sensor, flushing included, shape (n,), [l/min]; (5) of the thesis.
+    """Return flow over the drain-line sensor, flushing included, (n,), [l/min]; (5) of the thesis.
 
     Arguments and errors as of :func:`path_flows_l_per_min`.
     """

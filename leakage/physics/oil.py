@@ -65,7 +65,7 @@ def walther_coefficients(
 
 
 def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b: float) -> float:
-    """Walther constant A of the curve of slope B through a viscosity; raises as `_walther_z`.
+    """Return Walther constant A of the curve of slope B through a viscosity; as `_walther_z`.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b:
 def kinematic_viscosity_mm2_per_s(
     temperature_c: ArrayLike, walther_a: float, walther_b: float
 ) -> Array:
-    r"""Kinematic viscosity by Walther's equation (ASTM D341), shape of the temperature, [mm²/s].
+    r"""Return kinematic viscosity by Walther's equation (ASTM D341) [mm²/s].
 
     .. math:: \log_{10}\log_{10} Z = A - B \log_{10}(T + 273.15), \quad \nu = Z - 0.7
 
@@ -282,7 +282,7 @@ def density_kg_per_m3(temperature_c: ArrayLike, oil: Oil) -> Array:
 
 
 def dynamic_viscosity_pa_s(temperature_c: ArrayLike, pressure_pa: ArrayLike, oil: Oil) -> Array:
-    r"""Dynamic viscosity at temperature and pressure above ambient (Barus), [Pa·s]; (1) of the
+    r"""Return dynamic viscosity at temperature and pressure (Barus) [Pa·s]; (1) of the
     thesis.
 
     .. math:: \eta(T, p) = 10^{-6}\,\nu(T)\,\rho(T)\,e^{\alpha p}
@@ -310,7 +310,7 @@ def flow_drive_per_s(
     oil: Oil,
     film_pressure: FilmPressure = THESIS_FILM_PRESSURE,
 ) -> Array:
-    r"""Drive ΔP/η of a laminar leakage flow, [1/s]; never negative, the sign of ΔP has no effect.
+    r"""Return drive ΔP/η of a laminar leakage flow, [1/s]; never negative, whatever the sign of ΔP.
 
     .. math:: \frac{|\Delta P|}{\eta(T, s |\Delta P|)} \;\text{(thesis, (1) and (3))}, \qquad
         \frac{1 - e^{-\alpha |\Delta P|}}{\alpha\, \eta(T, 0)} \;\text{(slot)}

@@ -150,7 +150,7 @@ class Law(ABC):
 
     @abstractmethod
     def regressor(self, side: Side) -> Array:
-        """Flow φ per unit of the coefficient, shape (n,), [l/min per its unit]; a new array."""
+        """Return flow φ per unit of the coefficient, (n,), [l/min per its unit]; a new array."""
 
     def tolerances(self) -> tuple[PathTolerance, ...]:
         """Return the path with each constant off whose tolerance is stated; none by default."""
@@ -162,7 +162,7 @@ class Law(ABC):
         limits: tuple[float, float] | None,  # noqa: ARG002
         roughness_m: tuple[float, float],  # noqa: ARG002
     ) -> tuple[DerivedFigure, ...]:
-        """Figures that a coefficient and its interval, if it has one, imply; none by default.
+        """Return figures that a coefficient and its interval, if any, imply; none by default.
 
         `roughness_m` is R_a of the two surfaces, [m].
         """
@@ -268,7 +268,7 @@ class Laminar(Law):
         return self.count * super(Laminar, self).coefficient(values)
 
     def regressor(self, side: Side) -> Array:
-        """Flow per unit of the lumped loss factor, 60 000·ΔP/η, shape (n,), [l/min per m³]."""
+        """Return flow per unit of the lumped loss factor, 60 000·ΔP/η, (n,), [l/min per m³]."""
         return LITRES_PER_MINUTE * side.drive_per_s
 
 

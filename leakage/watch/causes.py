@@ -112,7 +112,7 @@ def _by_oil(machine: Machine, baseline: Baseline) -> Array:
 
 
 def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> Iterator[Cause]:
-    """Another grade, and a temperature sensor that reads low or high.
+    """Yield the causes of another grade, and of a temperature sensor that reads low or high.
 
     Each scales all flows by a factor that changes with temperature.
     """
@@ -120,7 +120,7 @@ def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> I
     own = _viscosity(oil, middle_c)
 
     def direction(factor: Array) -> Array:
-        """Of a factor less 1 at T₀, T₀ + 5 K and T₀ − 5 K, for a size of 1 at T₀."""
+        """Return direction of a factor less 1 at T₀, T₀ + 5 K and T₀ − 5 K, of size 1 at T₀."""
         along = _by_oil(machine, baseline)
         half = STEP_K / 10.0
         straight, bent = baseline.n_paths, baseline.n_paths + 1
@@ -141,7 +141,7 @@ def _of_oil(machine: Machine, oil: tuple[float, float], baseline: Baseline) -> I
 
 
 def _viscosity(oil: tuple[float, float], middle_c: float) -> Array:
-    """Kinematic viscosity at T₀, T₀ + 5 K and T₀ − 5 K, shape (3,), [mm²/s]."""
+    """Return kinematic viscosity at T₀, T₀ + 5 K and T₀ − 5 K, shape (3,), [mm²/s]."""
     walther = walther_coefficients(40.0, oil[0], 100.0, oil[1])
     at_c = np.array([middle_c, middle_c + STEP_K, middle_c - STEP_K])
     return kinematic_viscosity_mm2_per_s(at_c, *walther)

@@ -164,7 +164,7 @@ def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory:
 
 
 def _correlations(days: NDArray[np.int64]) -> Iterator[Array]:
-    """Return correlations of nights by each memory of the grid, shape (n, n)."""
+    """Yield correlations of nights by each memory of the grid, shape (n, n)."""
     apart = np.abs(days[:, None] - days).astype(float)
     for phi, share in zip(PHI, SHARE, strict=True):
         yield share * phi**apart + (1.0 - share) * np.eye(len(days))

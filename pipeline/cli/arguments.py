@@ -31,7 +31,7 @@ DRAWN_EVERY_S = 0.5
 
 
 def absolute_folder(given: Path | None) -> Path | None:
-    """The absolute path of a folder that an option names; wrong usage where it cannot be."""
+    """Return the absolute path of a folder that an option names; wrong usage where it cannot be."""
     from pipeline.config import absolute
 
     try:

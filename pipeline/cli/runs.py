@@ -398,7 +398,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
-    """Log files by outcome: every possible outcome, in a fixed order."""
+    """Return log files by outcome: every possible outcome, in a fixed order."""
     from pipeline.logs.motor_logs import FATES
 
     return {fate: files.get(fate, 0) for fate in FATES}

@@ -313,7 +313,7 @@ def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
 
 
 def _opened(motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note: str) -> Decision:
-    """Finding on the parts of a motor that was opened; raises UsageError (``finding_part``)."""
+    """Return finding on the parts of an opened motor; raises UsageError (``finding_part``)."""
     from pipeline.trends.decisions import Decision
 
     worn, sound = parts

@@ -95,7 +95,7 @@ TimeFormat = Annotated[str, AfterValidator(require_time_format)]
 
 
 def parsed(texts: pl.Series, time_format: str) -> pl.Series:
-    """Time stamps [µs] of text in a format of `time.strptime`; null where it does not fit."""
+    """Return time stamps [µs] of text in a format of `time.strptime`; null if it does not fit."""
     # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
     dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format
     if "%S:%f" in time_format:

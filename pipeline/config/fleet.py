@@ -168,7 +168,7 @@ def overlap(fleet: Fleet) -> str | None:
 
 
 def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
-    """Return a path or glob of files may match another below a folder, both below the log root."""
+    """Return whether a path or glob may match files of another below a folder of the log root."""
     parts = PurePosixPath(pattern).parts[:-1]
     for part, name in zip(parts, folder, strict=False):
         if part == "**":

@@ -71,13 +71,13 @@ def config_hash(spec: MotorSpec) -> str:
 
 
 def reading_hash(spec: MotorSpec) -> str:
-    """Hash of how a log's content is understood: its dialect, its channels, and what a night is."""
+    """Return hash of how a log's content is understood: dialect, channels, and what a night is."""
     parts = {key: part for key, part in shaping(spec, Stage.READING).items() if part}
     return hash_of({"version": READING_VERSION, **parts})
 
 
 def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
-    """Hash of all that shapes the statistics of a night; blocks of different hash never merge."""
+    """Return hash of what shapes a night's statistics; blocks of different hash never merge."""
     free = {path.name for path in motor.column_paths}
     settings = spec.settings.shaping(Stage.BLOCKS)
     by_hand = _chosen(spec, night)
@@ -119,7 +119,7 @@ class SettingsHashes:
         return settings_of(self.spec)
 
     def statistics(self, night: dt.date) -> str:
-        """Hash of all that is made of a night's samples: its statistics, and what else is."""
+        """Return hash of all that is made of a night's samples: its statistics and what else is."""
         spec = self.spec
         key = (spec.file.oil_on(night), _chosen(spec, night))
         if key not in self._statistics:
@@ -142,7 +142,7 @@ class SettingsHashes:
 
 
 def settings_of(spec: MotorSpec) -> dict[str, Any]:
-    """All settings of a motor as a JSON document: what a run before had, to name what changed."""
+    """Return all settings of a motor as a document, by which a later run names what changed."""
     versions = (READING_VERSION, STATISTICS_VERSION, FIGURES_VERSION)
     document = {
         "versions": dict(zip(("reading", "statistics", "figures"), versions, strict=True)),

@@ -256,7 +256,7 @@ def read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | No
 
 
 def _content(path: Path) -> bytes:
-    """All of a file. Raises OSError for a huge file, a pipe, or a device, which may never end."""
+    """Return all of a file. Raises OSError for a huge file, a pipe or a device."""
     if not (path.is_file() or path.is_dir()) and path.exists():
         raise OSError(errno.EINVAL, "is no regular file")
     with path.open("rb") as stream:
@@ -269,7 +269,7 @@ def _content(path: Path) -> bytes:
 def validated(
     model: type[Model], document: Document, file: str, faults: list[Fault], **context: Any
 ) -> Model | None:
-    """The model of a file's content; None if it has a fault. `context`: what its fields know."""
+    """Return model of a file's content; None if it has a fault. `context`: what its fields know."""
     try:
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
         return model.model_validate_json(json.dumps(document, default=str), context=context)
@@ -321,7 +321,7 @@ def named(value: Any, name: str) -> Any:
 def _at_their_place(
     faults: Iterable[Fault], own: Mapping[str, Document], defaults: Document, fleet_file: str
 ) -> Iterator[Fault]:
-    """Faults of motors' files, each named for the fleet file where the defaults have the key."""
+    """Yield faults of motors' files, at the fleet file where the defaults have the key."""
     for fault in faults:
         parts = fault.key.split(".")
         is_own = fault.file not in own or _depth(own[fault.file], parts) >= _depth(defaults, parts)
@@ -329,7 +329,7 @@ def _at_their_place(
 
 
 def _depth(document: Any, parts: list[str]) -> int:
-    """Number of steps of a key that there are; what a whole table lacks is not the defaults'."""
+    """Return how many steps of a key there are; what a whole table lacks is not the defaults'."""
     for depth, part in enumerate(parts):
         if not isinstance(document, Mapping) or part not in document:
             return depth

@@ -90,7 +90,7 @@ class PathSection(Section):
     """Document behind the values, or `placeholder` for a guess."""
 
     def path(self) -> Law:
-        """The path as the physics knows it; raises ValueError for numbers that it refuses."""
+        """Return path as the physics knows it; raises ValueError for numbers that it refuses."""
         raise NotImplementedError
 
     @model_validator(mode="after")

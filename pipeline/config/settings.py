@@ -160,7 +160,7 @@ class ReferenceConditions(Section):
     """Motor speed."""
 
     def conditions(self, charge_over_case_bar: float | None = None) -> Conditions:
-        """These conditions; of a two-sided motor with a charge above case pressure, else None."""
+        """Return these conditions; of a two-sided motor with a charge pressure, else None."""
         return Conditions(
             self.pressure_bar, self.temperature_c, self.speed_rpm, charge_over_case_bar
         )

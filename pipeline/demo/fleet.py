@@ -104,7 +104,7 @@ class DemoNight:
         return self.spec.motor(self.label, "estimated")
 
     def generator(self, purpose: str) -> np.random.Generator:
-        """A source of randomness of this motor, night and purpose alone, whoever makes it."""
+        """Return source of randomness of this motor, night and purpose alone, whoever makes it."""
         # By its number, as a date: the same samples whenever the demo is made.
         date = FIRST_SEED + dt.timedelta(days=self.number - 1)
         key = f"{self.plan.seed}/{self.demo.motor_id}/{date}/{purpose}"
@@ -205,7 +205,7 @@ def phi_of(step_s: float, time_constant_s: float) -> float:
 
 
 def autoregression(white: FloatArray, phi: float) -> FloatArray:
-    r"""First-order autoregression of independent values, shape (n, ...), in its stationary state.
+    r"""Return first-order autoregression of independent values, (n, ...), in its stationary state.
 
     .. math:: x_0 = w_0, \quad x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k
     """
@@ -217,7 +217,7 @@ def autoregression(white: FloatArray, phi: float) -> FloatArray:
 def correlated_noise(
     generator: np.random.Generator, samples: int, step_s: float, time_constant_s: float
 ) -> FloatArray:
-    """Autoregression of unit variance, shape (samples,), by its step and time constant [s]."""
+    """Return autoregression of unit variance, (samples,), by its step and time constant [s]."""
     return autoregression(generator.standard_normal(samples), phi_of(step_s, time_constant_s))
 
 
@@ -293,7 +293,7 @@ def record_night(night: DemoNight) -> Recording:
 
 
 def simulate_operation(demo: DemoMotor, time_s: FloatArray, rng: Rng) -> Operation:
-    """Random load cycles of a night at evenly spaced times since its start, shape (n,), [s]."""
+    """Return random load cycles of a night at evenly spaced times since its start, (n,), [s]."""
     # A halt a slot of 45 minutes, shorter in short logs.
     count = max(1, round(float(time_s[-1]) / 2700.0))
     slot = float(time_s[-1]) / count
@@ -447,7 +447,7 @@ def _stretches(
 
 
 def _stamps_us(night: DemoNight, time_s: FloatArray) -> NDArray[np.int64]:
-    """UTC stamps in whole milliseconds; a log too long for the evening ends with the night."""
+    """Return UTC stamps in whole milliseconds; too long a log ends with the night."""
     midnight = dt.datetime.combine(night.label, dt.time(), dt.UTC)
     start_h = min(START_HOUR, END_HOUR - night.plan.minutes / 60.0)
     start_ms = round(midnight.timestamp() * 1e3 + start_h * 3.6e6)

@@ -110,7 +110,7 @@ def _clear(demo: Path) -> None:
 
 
 def _copy_configs(configs: Path) -> None:
-    """The shipped configs, whole or not at all."""
+    """Copy the shipped configs, whole or not at all."""
     partial = configs.with_name(".configs.partial")
     shutil.rmtree(partial, ignore_errors=True)
     shutil.copytree(shipped_configs(), partial)
@@ -169,7 +169,7 @@ def _write_parquet(path: Path, recording: Recording, motor: MotorFile) -> None:
 
 
 def _write_mcap(path: Path, recording: Recording, motor: MotorFile) -> None:
-    """Messages of the same length, in the order in which they were recorded."""
+    """Write messages of the same length, in the order in which they were recorded."""
     messages: list[tuple[int, int, int, str]] = []
     for topic, (name, channel) in enumerate(motor.channels.items()):
         rows = np.flatnonzero(~np.isnan(recording.values[name]))

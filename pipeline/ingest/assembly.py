@@ -40,7 +40,7 @@ class Readings:
     example: str | None = None  # the first of these, for a message
 
     def rows(self, chosen: Rows) -> Readings:
-        """The readings of some rows."""
+        """Return the readings of some rows."""
         raw = self.raw[chosen]
         # Marks of no cell are alike in all rows.
         marks = chosen if self.missing.any() else slice(raw.size)
@@ -48,7 +48,7 @@ class Readings:
 
 
 def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
-    """Readings of a column of numbers; null where missing."""
+    """Return readings of a column of numbers; null where missing."""
     # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
     numbers = column.cast(pa.float64(), safe=False)
     missing, none = nulls(column), np.zeros(len(column), dtype=np.bool_)
@@ -59,7 +59,7 @@ def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
 def _in_canonical_unit(
     name: str, channel: Channel, time_us: NDArray[np.int64], raw: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Figures of a channel with scale, offset and unit applied; as they are where none changes."""
+    """Return figures of a channel with scale, offset and unit applied."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         if channel.scale != 1.0 or channel.offset != 0.0:
@@ -83,7 +83,7 @@ def raw_channel(
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel of readings as logged, with their `quality_states` if the log has them.
+    """Return channel of readings as logged, with their `quality_states` if the log has them.
 
     Raises LogError: ``log_type``: the channel holds something, but not a single number.
     """
@@ -188,14 +188,14 @@ class Gathered:
             states.append(quality_states(self.path, source, qualities[source], good))
 
     def stamps(self, zone: str) -> TimeStamps:
-        """Time stamps of all rows, which are given up."""
+        """Return time stamps of all rows, which are given up."""
         stamps = WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
         return placed(stamps, zone)
 
     def channels_at(
         self, places: Mapping[Any, tuple[Rows, NDArray[np.int64]]]
     ) -> dict[str, RawChannel]:
-        """Channels by their rows and time stamps; all rows are given up.
+        """Return channels by their rows and time stamps; all rows are given up.
 
         A column is given up with its last channel, so that a long log is not held twice.
         """
@@ -216,7 +216,7 @@ class Gathered:
 def judged(
     path: Path, parts: Sequence[TimeStamps], name: str, latest_us: int
 ) -> tuple[list[TimeStamps], dict[str, int]]:
-    """Stamps of a log without those in the future; counts of rows without a good time, by reason.
+    """Return stamps without those in the future; counts of rows without a good time, by reason.
 
     The parts are judged together; `name` says what the stamps are called and how they were read.
     The future begins after `latest_us` [µs since 1970].
@@ -259,7 +259,7 @@ def judged(
 
 
 def no_samples() -> RawChannel:
-    """A channel of which a file holds nothing."""
+    """Return a channel of which a file holds nothing."""
     none = np.empty(0, np.bool_)
     return _frozen(RawChannel(np.empty(0, np.int64), np.empty(0), none, 0))
 
@@ -267,7 +267,7 @@ def no_samples() -> RawChannel:
 def without_rows_of_others(
     channels: Mapping[str, RawChannel], columns: Mapping[str, str]
 ) -> dict[str, RawChannel]:
-    """Channels of a table without those blank cells that tell of no missing reading.
+    """Return channels of a table without those blank cells that tell of no missing reading.
 
     Where each channel is logged at times of its own, a table has a row for each of them, which is
     blank for the others. So is a channel most of whose readings stand alone in their rows; if it
@@ -311,7 +311,7 @@ class Samples:
 
 
 def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
-    """Log of what an installed reader has, by channel: converted, judged and counted.
+    """Return log of what an installed reader has, by channel: converted, judged and counted.
 
     Raises LogError: ``log_time``: more than half of the time stamps lie in the future, before 1990
     or after 2200; ``log_reader``: a channel's quality is asked for, and there is none.

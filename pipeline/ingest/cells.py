@@ -26,24 +26,24 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 
 
 def may_be_number(cell: str) -> bool:
-    """True for a cell that may be a number in another dialect, and is no word for none."""
+    """Return True for a cell that may be a number in another dialect, and is no word for none."""
     return re.search(NUMBER_LIKE, cell) is not None
 
 
 def is_text(kind: pa.DataType) -> bool:
-    """True for text of any layout."""
+    """Return True for text of any layout."""
     types = pa.types
     return bool(types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind))
 
 
 def is_number(kind: pa.DataType) -> bool:
-    """True for integers, decimals and floating-point numbers; truth values are none."""
+    """Return True for integers, decimals and floating-point numbers; truth values are none."""
     types = pa.types
     return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))
 
 
 def nulls(column: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
-    """True for each null of a column."""
+    """Return True for each null of a column."""
     if not column.null_count:
         return np.zeros(len(column), np.bool_)
     return pl.Series(column.is_null()).to_numpy()
@@ -52,7 +52,7 @@ def nulls(column: pa.Array | pa.ChunkedArray) -> NDArray[np.bool_]:
 def quality_states(
     path: Path, name: str, cells: pa.Array | pa.ChunkedArray, good: Iterable[QualityValue]
 ) -> NDArray[np.uint8]:
-    """State of each cell of a quality column: good, bad or blank; blank where it is null.
+    """Return state of each cell of a quality column: good, bad or blank; blank where it is null.
 
     Text is compared without regard to case and blanks around it, and as a number where both are
     numbers: 192, 192.0 and "192" are the same, and so are true and 1.
@@ -81,7 +81,7 @@ def quality_states(
 
 
 def is_bad(states: NDArray[np.uint8], missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples that the log does not call good: where the quality is blank, those with a value."""
+    """Return samples not called good by the log: where the quality is blank, those with a value."""
     bad: NDArray[np.bool_] = (states == _BAD) | ((states == _BLANK) & ~missing)
     return bad
 

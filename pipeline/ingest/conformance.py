@@ -83,17 +83,17 @@ class Format:
         return Logs(format=self.log_format, files=("*",), **self.keys)
 
     def written(self, folder: Path, rows: Sequence[Row], names: Sequence[str] = NAMES) -> Path:
-        """Path of a log with these rows."""
+        """Return path of a log with these rows."""
         path = folder / f"log.{self.log_format}"
         self.write(path, rows, names)
         return path
 
     def read(self, folder: Path, rows: Sequence[Row], channels: Channels = CHANNELS) -> RawLog:
-        """A log as it is written and read."""
+        """Return a log as it is written and read."""
         return read_log(self.written(folder, rows), self.logs, channels)
 
     def codes(self, path: Path) -> tuple[str, str]:
-        """Codes of the errors in which reading, and asking for the span, end.
+        """Return codes of the errors in which reading, and asking for the span, end.
 
         "" for none; what is no error of the log is raised.
         """
@@ -113,7 +113,7 @@ Check = Callable[[Format, Path], None]
 
 
 def many_rows(count: int = 200) -> list[Row]:
-    """Pressure and flow at 10 Hz, temperature every second."""
+    """Return pressure and flow at 10 Hz, temperature every second."""
     rng = random.Random(7)  # noqa: S311
     rows = []
     for i in range(count):
@@ -125,7 +125,7 @@ def many_rows(count: int = 200) -> list[Row]:
 
 
 def pressures(pressures: Sequence[Cell], first_us: int = T0_US) -> list[Row]:
-    """Rows with these pressures, at the kit's steps."""
+    """Return rows with these pressures, at the kit's steps."""
     return [
         Row(first_us + i * STEP_US, {"dp": cell, "T": 50.0, "q": 1.0})
         for i, cell in enumerate(pressures)
@@ -133,7 +133,7 @@ def pressures(pressures: Sequence[Cell], first_us: int = T0_US) -> list[Row]:
 
 
 def _holds(log: RawLog, rows: Sequence[Row]) -> bool:
-    """True if a log has the samples of these rows, no more and no less."""
+    """Return True if a log has the samples of these rows, no more and no less."""
     for name, channel in CHANNELS.items():
         raw, source = log.channels[name], channel.source
         pairs = zip(raw.time_us[~raw.missing], raw.value[~raw.missing], strict=True)
@@ -284,7 +284,7 @@ def damage_never_raises_anything_else(form: Format, folder: Path) -> None:
 
 
 def checks_of(form: Format) -> tuple[Check, ...]:
-    """Checks that apply to a format; each takes the format and an empty folder."""
+    """Return checks that apply to a format; each takes the format and an empty folder."""
     text = (text_that_is_no_number_is_missing_and_counted,) if form.holds_text else ()
     named = (a_log_without_rows_has_channels_without_samples,) if form.names_channels else ()
     damage = (damage_never_raises_anything_else,) if form.survives_damage else ()

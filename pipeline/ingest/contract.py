@@ -49,7 +49,7 @@ class RawChannel:
         return f", such as {self.example[:40]!r}" if self.example else ""
 
     def rows(self, chosen: Rows, time_us: NDArray[np.int64] | None = None) -> RawChannel:
-        """Some of its samples, with stamps that channels share where these are given.
+        """Return some of its samples, with stamps that channels share where these are given.
 
         The count of what is no number stays that of all.
         """
@@ -65,7 +65,7 @@ class RawChannel:
 
     @staticmethod
     def joined(parts: Sequence[RawChannel]) -> RawChannel:
-        """Samples in turn; where a part says nothing of its quality, it is not bad."""
+        """Return samples in turn; where a part says nothing of its quality, it is not bad."""
         marks = [part.bad_quality for part in parts]
         bad = [
             np.zeros(part.missing.size, np.bool_) if own is None else own
@@ -91,7 +91,7 @@ class RawLog:
     left_out: int = 0  # rows or messages that were
 
     def stamps(self) -> list[NDArray[np.int64]]:
-        """Time stamps of channels: those that several share, as in a table, once."""
+        """Return time stamps of channels: those that several share, as in a table, once."""
         arrays = {
             (part.time_us.ctypes.data, part.time_us.size): part.time_us
             for part in self.channels.values()
@@ -99,7 +99,7 @@ class RawLog:
         return list(arrays.values())
 
     def ends(self) -> tuple[int, int] | None:
-        """Smallest and largest time stamp; None without any."""
+        """Return smallest and largest time stamp; None without any."""
         return ends(self.stamps())
 
 
@@ -126,7 +126,7 @@ class Reader:
 
 
 def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
-    """Smallest and largest of some time stamps; None where there is none."""
+    """Return smallest and largest of some time stamps; None where there is none."""
     times = [part for part in parts if part.size]
     if not times:
         return None
@@ -134,7 +134,7 @@ def ends(parts: Iterable[NDArray[np.int64]]) -> tuple[int, int] | None:
 
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
-    """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
+    """Return smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
     bounds = ends(parts)
     if bounds is None:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
@@ -164,7 +164,7 @@ _DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quali
 
 
 def validate(log: object, channels: Iterable[str], latest_us: int = LATEST_US) -> RawLog:
-    """The log that a reader gave for some channels, if it keeps this contract.
+    """Return the log that a reader gave for some channels, if it keeps this contract.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def _require_arrays(name: str, channel: RawChannel) -> None:
 
 
 def require_possible(first_us: int, last_us: int, latest_us: int) -> None:
-    """ValueError for ends of a log that none can have."""
+    """Raise ValueError for ends of a log that none can have."""
     if not EARLIEST_US <= first_us <= last_us <= latest_us:
         raise ValueError(
             f"gave time stamps from {first_us} to {last_us}, before 1990 or in the future: they "
@@ -227,7 +227,7 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
 def time_span(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> tuple[int, int]:
-    """Smallest and largest time stamp [µs since 1970, UTC], without reading the whole log if so.
+    """Return smallest and largest time stamp [µs since 1970, UTC], if possible by its ends.
 
     A CSV is taken to be in order, its first and last rows are looked at; an MCAP file says it in
     its summary, for all topics together. Errors as `read_log`; ``log_empty`` without samples.
@@ -242,7 +242,7 @@ def time_span(
 
 
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:
-    """A log with the channels that are stated: they have the samples of the drain flow."""
+    """Return a log with the channels that are stated: they have the samples of the drain flow."""
     stated = {name: channel for name, channel in channels.items() if channel.constant is not None}
     if not stated:
         return log
@@ -263,7 +263,7 @@ def _constant(name: str, channel: Channel, flow: RawChannel) -> RawChannel:
 def _opened(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> Iterator[tuple[Reader, LogFile]]:
-    """A log's reader, and what it is given: the channels that a log holds, in their order.
+    """Return a log's reader, and what it is given: the channels that a log holds, in their order.
 
     What an installed reader does wrong within is an error of the log.
     """
@@ -284,7 +284,7 @@ def _opened(
 
 @contextmanager
 def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
-    """Any error of an installed reader as an error of the log; a built-in's stay as they are.
+    """Turn any error of an installed reader into one of the log; a built-in's stay as they are.
 
     What it prints is none of the program's output.
     """
@@ -305,7 +305,7 @@ def _its_faults(path: Path, entry: EntryPoint) -> Iterator[None]:
 
 
 def _with_options(file: LogFile, reader: Reader) -> LogFile:
-    """The log with all options of its reader, the defaults where none are set."""
+    """Return the log with all options of its reader, the defaults where none are set."""
     own = file.logs.options
     if not own and not reader.options:
         return file

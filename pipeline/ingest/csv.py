@@ -73,7 +73,7 @@ def _read(file: LogFile) -> RawLog:
 
 
 def _span(file: LogFile) -> tuple[int, int]:
-    """First and last time stamp of a CSV, from its first and last rows where these can be read."""
+    """Return first and last time stamp of a CSV, from its first and last rows if readable."""
     times = Columns(wanted_columns(file).time)
     with file.path.open("rb") as text_file:
         is_plain = _is_utf8(file.logs.encoding) and _packer(text_file.read(8)) is None
@@ -132,7 +132,7 @@ def _header(path: Path, logs: Logs, data: bytes) -> tuple[tuple[str, ...], int]:
 
 
 def _cells(path: Path, logs: Logs, line: bytes) -> tuple[str, ...]:
-    """Cells of a header or a line of units, without blanks around them."""
+    """Return cells of a header or a line of units, without blanks around them."""
     text = line.decode().strip("\r\n").removeprefix("\ufeff")
     try:
         row = next(csv.reader([text], delimiter=logs.separator), [])
@@ -204,7 +204,7 @@ class _Rows:
     def _parsed(
         self, types: Mapping[str, pa.DataType], data: bytes, start: int
     ) -> tuple[pa.Table, _Ragged]:
-        """Columns by position, as some types, and the rows that are left out."""
+        """Return columns by position, as some types, and the rows that are left out."""
         ragged = _Ragged(self._is_header)
         # Columns go by position: names may repeat, or be those of no column that is wanted.
         table = arrow_csv.read_csv(
@@ -225,7 +225,7 @@ class _Rows:
         return table, ragged
 
     def _types(self) -> dict[str, pa.DataType]:
-        """Types that the wanted columns may be parsed as at once, by their position."""
+        """Return types that the wanted columns may be parsed as at once, by their position."""
         logs, types = self.logs, dict.fromkeys(self.columns.all, pa.string())
         if not logs.thousands:
             types |= dict.fromkeys(self.columns.numbers, pa.float64())
@@ -235,7 +235,7 @@ class _Rows:
         return {str(at): types[name] for name, at in self.position.items()}
 
     def _is_header(self, line: str) -> bool:
-        """True for a row of another width that has a name in the place of the time."""
+        """Return True for a row of another width that has a name in the place of the time."""
         time = self.columns.time[0]
         if time in line:
             with suppress(LogError):
@@ -270,7 +270,7 @@ class _Rows:
         return LogError("log_not_csv", self.path, how + repr(line[:_SHOWN].strip()))
 
     def log(self) -> RawLog:
-        """All that was read."""
+        """Return all that was read."""
         self.require_rows_of_one_width()
         ragged = f"row with too many or too few cells, the first has {self.first_ragged}"
         return self.table.log(
@@ -314,7 +314,7 @@ class _Ragged:
 
 
 def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
-    """Time stamps of a column of time, or of a column of dates and another of times."""
+    """Return time stamps of a column of time, or of a column of dates and another of times."""
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
     if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
         columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
@@ -322,7 +322,7 @@ def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
 
 
 def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text, or of a column that Arrow could parse as float64."""
+    """Return numbers of a column of text, or of a column that Arrow could parse as float64."""
     if pa.types.is_floating(cells.type):
         return readings_of(cells)
     texts = pl.Series(name, cells)
@@ -348,7 +348,7 @@ def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Read
 
 
 def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
-    """Numbers without marks between their thousands; a mark elsewhere makes it no number."""
+    """Return numbers without marks between their thousands; a mark elsewhere makes it no number."""
     mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
     grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
     whole, none = (cells.str.replace_all(logs.thousands, to, literal=True) for to in ("", "_"))
@@ -359,7 +359,7 @@ def _without_groups(logs: Logs, cells: pl.Series) -> pl.Series:
 
 
 def _is_utf8(encoding: str) -> bool:
-    """True if text in an encoding is UTF-8 as it stands."""
+    """Return True if text in an encoding is UTF-8 as it stands."""
     return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
 
 
@@ -368,7 +368,7 @@ def _packer(head: bytes) -> str | None:
 
 
 def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]:
-    """Text of a file, plain or packed, in UTF-8, as pieces of whole lines; `piece` in bytes.
+    """Yield text of a file, plain or packed, in UTF-8, as pieces of whole lines; `piece` in bytes.
 
     There is at least one piece. The last is what stands behind the last line end, if anything.
     Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
@@ -392,14 +392,14 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
 
 
 def repaired(data: bytes) -> bytes:
-    """Text with the minus sign of ASCII, and a mark, which is no number, for what is not UTF-8."""
+    """Return text with ASCII's minus, and a mark that is no number for what is not UTF-8."""
     if data.isascii():
         return data
     return data.decode(errors="replace").replace("\N{MINUS SIGN}", "-").encode()
 
 
 def unpacked(path: Path, piece: int) -> Iterator[bytes]:
-    """Bytes of the text in pieces; errors as of `read_lines`."""
+    """Yield bytes of the text in pieces; errors as of `read_lines`."""
     size, total = path.stat().st_size, 0
     with path.open("rb") as file:
         packer = _packer(file.read(8))
@@ -440,7 +440,7 @@ def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[b
 
 
 def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
-    """Pieces in UTF-8; half a character at the end is left to the last, cut row."""
+    """Yield pieces in UTF-8; half a character at the end is left to the last, cut row."""
     if _is_utf8(encoding):
         yield from pieces
         return
@@ -454,7 +454,7 @@ def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[byt
 
 
 def _first(path: Path, data: bytes) -> bytes:
-    """The first piece without its mark; what is no text, or in another encoding, is refused."""
+    """Return first piece without its mark; what is no text, or in another encoding, is refused."""
     head = data[:4096]
     packer = _packer(head)
     if packer is not None:
@@ -475,7 +475,7 @@ def _first(path: Path, data: bytes) -> bytes:
 
 
 def wide_encoding(head: bytes) -> str | None:
-    """Encoding of text whose letters have zero bytes around them."""
+    """Return encoding of text whose letters have zero bytes around them."""
     if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
         return "utf-32"
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -49,7 +49,7 @@ def _read(file: LogFile) -> RawLog:
 
 
 def _span(file: LogFile) -> tuple[int, int]:
-    """First and last time stamp, from the time column alone."""
+    """Return first and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
     return _gathered(file, Columns(wanted_columns(file).time)).span()
@@ -93,7 +93,7 @@ def _add_rows(table: RawTable, path: Path, file: pq.ParquetFile, columns: Sequen
 
 
 def _batches(path: Path, file: pq.ParquetFile, wanted: list[str]) -> Iterator[pa.RecordBatch]:
-    """The wanted columns, piece by piece: how many rows there are shows while they unfold."""
+    """Yield the wanted columns, piece by piece: how many rows there are shows while they unfold."""
     rows = 0
     _require_fewer(path, file.metadata.num_rows)
     size = _ROWS_AT_ONCE if file.metadata.num_rows <= _ROWS_AT_ONCE else _BATCH_ROWS
@@ -146,7 +146,7 @@ def _stamps(file: LogFile, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
 
 @contextmanager
 def opened(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
-    """An open file, some columns of which are read as dictionaries.
+    """Open a file, some columns of which are read as dictionaries.
 
     PyArrow's errors, now or while it is read, become a `LogError`.
     """
@@ -209,7 +209,7 @@ def text_paths(schema: pa.Schema) -> list[str]:
 
 
 def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
-    """A column without a dictionary.
+    """Return a column without a dictionary.
 
     Raises LogError: ``log_too_large``: its text is longer than any of a log.
     """

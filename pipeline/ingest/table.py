@@ -48,7 +48,7 @@ class Columns:
 
 
 def wanted_columns(file: LogFile) -> Columns:
-    """Columns that hold time and channels in the layout of a log.
+    """Return columns that hold time and channels in the layout of a log.
 
     Raises LogError: ``log_column_missing``: the file's name is that of no channel.
     """
@@ -67,7 +67,7 @@ def wanted_columns(file: LogFile) -> Columns:
 
 
 def _channels_of(file: LogFile) -> Channels:
-    """The channels that a file may hold; of a file a channel those that its name is of."""
+    """Return the channels that a file may hold; of a file a channel those that its name is of."""
     if file.logs.layout != "file_per_channel":
         return file.channels
     here = {
@@ -164,7 +164,7 @@ class RawTable:
         return ", ".join(repr(name[:40]) for name in list(self._seen)[:_MOST_NAMES])
 
     def span(self) -> tuple[int, int]:
-        """First and last time stamp; errors as of `judged`, and ``log_empty``."""
+        """Return first and last time stamp; errors as of `judged`, and ``log_empty``."""
         stamps, _ = self._stamps()
         return span(self.file.path, [stamps.time_us[stamps.readable]])
 
@@ -205,7 +205,7 @@ class RawTable:
         return raw_log(channels, int(np.count_nonzero(stamps.readable)), refused)
 
     def _absent(self, names: NDArray[np.int16]) -> list[str]:
-        """Remarks on wanted names that no row of a long table has; none of all is an error."""
+        """Return remarks on names that no row of a long table has; none of all is an error."""
         if not names.size:
             return []
         counts = np.bincount(names + 1, minlength=len(self._sources) + 1)

@@ -182,7 +182,7 @@ def _from_iso8601(texts: pa.ChunkedArray) -> WrittenStamps:
 
 
 def _from_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
-    """Time stamps of an Arrow timestamp column of any unit, in UTC where its type has a zone."""
+    """Return stamps of an Arrow timestamp column of any unit, in UTC where its type has a zone."""
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
     whole = stamps.cast(pa.int64())
     counts = (whole.fill_null(0) if stamps.null_count else whole).to_numpy()
@@ -197,7 +197,7 @@ def _from_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
 
 
 def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
-    """All stamps of a log in UTC, in their order; local ones are on the clocks of the zone.
+    """Return all stamps of a log in UTC, in their order; local ones are on the clocks of the zone.
 
     Where a clock change gives an hour twice, stamps belong to its first pass until they step back
     by half an hour or more, then to the second; of a file sorted by time, in which they stand in
@@ -222,7 +222,7 @@ def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
 
 
 def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | None:
-    """The first stamp that is read and cannot be, such as that of a clock that was never set."""
+    """Return first stamp that is read and cannot be, such as that of a clock that was never set."""
     if readable.all():
         return None
     rows = np.flatnonzero(~readable & (stamps.kind != _NONE))[:1]
@@ -232,7 +232,7 @@ def _implausible(stamps: WrittenStamps, readable: NDArray[np.bool_]) -> str | No
 
 
 def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Offset from UTC on the first and on the second pass; smaller on the first: no such time."""
+    """Return offset from UTC on the first and on the second pass; a smaller first: no such time."""
     # Since 1990 all zones have changed their offset at a whole minute, St. John's at 00:01.
     by_row = local // _MINUTE_US
     begins = np.flatnonzero(np.diff(by_row, prepend=by_row[0] - 1))
@@ -249,7 +249,7 @@ def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64],
 
 
 def _on_second_pass(local: NDArray[np.int64], ambiguous: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True where an hour that comes twice has stepped back since it began, or a stamp in it."""
+    """Return True where an hour that comes twice has stepped back, or a stamp in it."""
     if not ambiguous.any():
         return ambiguous
     steps_us = np.diff(local, prepend=local[0])

@@ -157,7 +157,7 @@ def _moved(
 
 
 def _with_circuit(check: MotorCheck, circuit: Sequence[MotorCheck]) -> MotorCheck:
-    """A check whose new rise says whether the other motors of the oil circuit have risen alike."""
+    """Return check whose new rise says whether the circuit's other motors have risen alike."""
     if not check.rows or check.state != RISEN:
         return check
     (row,) = check.rows

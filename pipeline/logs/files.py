@@ -36,7 +36,7 @@ def inspect_log(
     spec: MotorSpec,
     latest_us: int | None = None,
 ) -> FileRecord:
-    """The record of a file: that of the run before where its content is the same, else a new one.
+    """Return record of a file: the former if its content is the same, else a new record.
 
     Samples after `latest_us` are refused [µs since 1970]; None: those a day after now.
     """
@@ -56,7 +56,7 @@ def inspect_log(
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
-    """The change of a file since it was looked at; None without any, or if the file is gone."""
+    """Return change of a file since it was looked at; None without any, or if the file is gone."""
     now = stat_log(record.path, path)
     # Not by `changed_ns`: a backup that links the file does nothing to its content.
     is_same = all(getattr(now, name) == getattr(record, name) for name in OF_CONTENT)
@@ -68,7 +68,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
 
 
 def stat_log(name: str, path: Path) -> FileRecord:
-    """Size and time of a file; ``failed`` where there is no such file any more, or it is none."""
+    """Return size and time of a file; ``failed`` where there is no such file any more."""
     try:
         state = path.stat()
     except OSError as error:
@@ -95,7 +95,7 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 def spanned(
     record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
-    """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
+    """Return record of a file with its nights; ``failed`` if they cannot be read."""
     file = spec.file
     try:
         first, last = time_span(path, file.logs, file.channels, latest_us)
@@ -116,7 +116,7 @@ def spanned(
 
 
 def failed(record: FileRecord, error: LogError) -> FileRecord:
-    """The record of a file that cannot be read, or is being written and left to the next run."""
+    """Return record of a file that cannot be read, or is being written and left to the next run."""
     status = "growing" if error.code == "log_growing" else "failed"
     return replace(record, status=status, error_code=error.code, message=error.message)
 

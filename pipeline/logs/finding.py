@@ -119,7 +119,7 @@ def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
 
 @lru_cache(maxsize=64)
 def _names_as_of(folder: Path, _: int) -> tuple[list[str], set[str]]:
-    """Names in a folder that was last changed at a time, sorted, and those of files among them."""
+    """Return names in a folder last changed at a time, sorted, and which are files."""
     with os.scandir(folder) as listing:
         entries = list(listing)
     files = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}
@@ -285,14 +285,14 @@ class FolderLogs:
         return stat_log(name, self.path(name))
 
     def path(self, name: str) -> Path:
-        """Return a file with the content of a log; of a log that is gone, where it was.
+        """Return the path, as `FolderLogs`.
 
         Raises LogError: ``log_growing``: it is no more as it was when it was listed.
         """
         return self._paths.get(name, self._spec.log_root / name)
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """Return the change of a log since it was looked at; None without any."""
+        """Return None: a copy never changes and what is put there later is news to the next run."""
         return change_of(record, self.path(record.path))
 
     def unmatched(self) -> tuple[str, ...]:
@@ -323,7 +323,7 @@ class StoredLogs(FolderLogs):
         return FileRecord(name, stored.size, modified_ns, None, inode=tag)
 
     def path(self, name: str) -> Path:
-        """As `FolderLogs`."""
+        """Return the path, as `FolderLogs`."""
         if name in self._copies:
             self._copies.move_to_end(name)
             return self._copies[name]
@@ -347,13 +347,13 @@ class StoredLogs(FolderLogs):
         return path
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """None: a copy never changes, and what is put there meanwhile is news to the next run."""
+        """Return None: a copy never changes and what is put there later is news to the next run."""
 
 
 def _matching_objects(
     store: ObjectStore, patterns: tuple[str, ...]
 ) -> tuple[dict[str, StoredObject], list[str], list[str]]:
-    """Objects by key that patterns name; patterns of an absent object; globs without a match.
+    """Return objects by key that patterns name; patterns without object; globs without a match.
 
     Only the folder that a pattern names before its first wildcard is listed.
     """

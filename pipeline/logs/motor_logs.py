@@ -122,7 +122,7 @@ class MotorLogs:
         return labels_of(record) | labels_of(self.before.get(name, record))
 
     def reached(self, name: str) -> set[dt.date]:
-        """Nights into which a file's last samples may hold, or might before it was changed."""
+        """Return nights into which a file's last samples may hold, or might before a change."""
         if not self._reach_us:
             return set()
         record, nights = self.files[name], self._spec.settings.nights
@@ -139,7 +139,7 @@ class MotorLogs:
         return {label for record in self.files.values() for label in labels_of(record)}
 
     def waiting(self) -> set[dt.date]:
-        """Nights that wait for the next run, as a file of theirs changes while it is read."""
+        """Return nights that wait for the next run, as their file changes while it is read."""
         return {
             label
             for name, record in self.files.items()
@@ -175,7 +175,7 @@ class MotorLogs:
         return sorted(names, key=self._begin)
 
     def before_night(self, here: Night) -> list[str]:
-        """Files that end before a night, and so late that an on-change channel may hold into it."""
+        """Return files before a night of which an on-change channel may hold into it."""
         names = (
             name
             for name, record in self.files.items()
@@ -243,7 +243,7 @@ class MotorLogs:
         return self._source.path(name)
 
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
-        """Files of which every night is done: the others stay new, for a run that wants them."""
+        """Return files of which every night is done: the others stay new for a later run."""
         nights, present = set(done), self.present()
         return {
             name: record
@@ -281,7 +281,7 @@ class MotorLogs:
         ]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of `log_files`: each file once, with its first night, or none if it is of none."""
+        """Return rows of `log_files`: each file once, with its first night, if any."""
         return [
             {
                 "motor_id": self._spec.motor_id,

@@ -76,7 +76,7 @@ class FileRecord:
         return IN_FUTURE in (self.message or "")
 
     def is_as(self, before: FileRecord | None) -> bool:
-        """True where there is a former record of the same state, of a log that could be read."""
+        """Return True if a former record of the same state is of a log that could be read."""
         if before is None or before.is_ahead:
             return False
         return bool(before.sha256) and before.state == self.state
@@ -209,7 +209,7 @@ def _row_of(motor_id: str, night: dt.date, text: str) -> dict[str, Any]:
 
 
 def unpublished_rows(state: StateDatabase, motor_id: str) -> dict[dt.date, dict[str, Any]]:
-    """Rows of a motor's nights, as far as the nights fill them, whose trends are still to come."""
+    """Return rows of a motor's nights, as far as these fill them, whose trends are to come."""
     rows = state.rows(
         "SELECT night, row FROM nights WHERE motor_id = ? AND row IS NOT NULL", motor_id
     )

@@ -356,7 +356,7 @@ class Course:
 
 
 def _spikes(course: Course) -> Mask:
-    """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
+    """Return spikes among the samples between two gaps: a gap ends a neighbourhood."""
     # A compressed archive holds only what differs from its neighbourhood.
     if course.rules.on_change:
         return np.zeros(len(course.value), dtype=np.bool_)
@@ -364,7 +364,7 @@ def _spikes(course: Course) -> Mask:
 
 
 def _stuck(course: Course) -> Mask:
-    """Frozen values; a gap adds no time to a stretch."""
+    """Return frozen values; a gap adds no time to a stretch."""
     rules = course.rules
     after_us = rules.frozen_after_s * SECOND_US
     stuck = frozen(course.time_us, course.value, rules.resolution, after_us, course.borders)

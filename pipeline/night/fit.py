@@ -220,7 +220,7 @@ def _errors(
     at: Mapping[str, OperatingConditions],
     budget: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
-    """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
+    """Return parts of the ± of each leakage, by the first misfit, of coefficients by the second."""
     fitted, distribution = made.fit, identification.distribution
     fixed = fitted.proven_minimum.fixed
     sensors = by_squares(row for row in budget if _is_sensor(row))
@@ -271,7 +271,7 @@ def by_squares(budget: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def of_extrapolation(budget: Iterable[Mapping[str, Any]], ratio: float) -> float:
-    """± of the reference leakage against the own, by constants, scaled by their ratio."""
+    """Return ± of the reference leakage against the own, by constants, scaled by their ratio."""
     effects: defaultdict[str, float] = defaultdict(float)
     scale = {REFERENCE: 1.0, OWN: -ratio}
     for row in budget:

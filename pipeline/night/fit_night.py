@@ -143,7 +143,7 @@ def unfitted(
     rows: Rows | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> NightOutcome:
-    """The outcome of a night without a fit: a row that says why, and what was counted so far."""
+    """Return outcome of a night without a fit: a row that says why, and what was counted so far."""
     unfitted = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
     unfitted["nights"] = [night_row(spec, night, data or {}, status, reason, code)]
     unfitted["fits"] = [unfitted_row(spec, night)]
@@ -322,7 +322,7 @@ def _budget(
     at: OperatingConditions,
     charge_bar: float | None,
 ) -> list[Row]:
-    """Rows of `error_budget` at other reference conditions; those of the coefficients stay."""
+    """Return rows of `error_budget` at other reference conditions; coefficients' rows stay."""
     motor = spec.stated.motor(night, before["flushing_mode"])
     coefficients = dict(zip(before["coefficient_names"], before["coefficients"], strict=True))
     names = coefficient_names(motor)

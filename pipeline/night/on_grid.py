@@ -56,7 +56,7 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
 # A refused value may be infinite.
 @np.errstate(over="ignore", invalid="ignore")
 def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
-    """Samples as they are at their own times, and lines between them; not beside a refused one."""
+    """Return samples as they are at their own times lines between them; not beside refused ones."""
     time = channel.time_us
     # A zero has no sign here, at samples as between them.
     known = channel.value + 0.0
@@ -107,7 +107,7 @@ def _fill_even(
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
-    """The last sample, while it is not older than the longest silence; none after a refused one."""
+    """Return last sample, within the longest silence; none after a refused one."""
     last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
     known, last = last >= 0, np.maximum(last, 0)
     silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
@@ -118,7 +118,7 @@ def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
 
 
 def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> OnGrid:
-    """The mean in whose period a time lies: interpolated means would be averaged once more."""
+    """Return mean in whose period a time lies: interpolated means would be averaged once more."""
     time = channel.time_us
     right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
     left = np.maximum(right - 1, 0)

@@ -52,7 +52,7 @@ def night_row(
     reason: str | None = None,
     code: str | None = None,
 ) -> Row:
-    """The row of a night in `nights`, as far as the night itself fills it; `data` is of samples."""
+    """Return row of a night in `nights`, as far as the night fills it; `data` is of samples."""
     return {
         **dict.fromkeys(OF_NIGHT),
         **data,
@@ -181,7 +181,7 @@ def _interval_status(mode: BlockFit) -> str:
 
 
 def _leakage_columns(mode: BlockFit) -> Row:
-    """Leakage at the reference conditions by the night alone, where it is determined."""
+    """Return leakage at the reference conditions by the night alone, where it is determined."""
     reference, parts = mode.reference, mode.errors[REFERENCE]
     value, interval = reference.leakage_l_per_min, reference.interval
     figures: Row = {
@@ -212,7 +212,7 @@ def _roller_columns(mode: BlockFit) -> Row:
 
 
 def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
-    """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
+    """Return rows of `parameters`: coefficients, gaps by them, and shares of the leakage."""
     motor = mode.fit.motor
     places = {path.name: place for place, path in enumerate(motor.coefficient_paths) if path}
     rows: list[Row] = []
@@ -232,7 +232,7 @@ def _why_fixed(mode: BlockFit) -> str:
 
 
 def _coefficient_row(mode: BlockFit, path: Law, place: int | None) -> Row:
-    """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
+    """Return row of a coefficient: the configured value, else estimate and verdict."""
     if place is None:
         value, judgement = path.configured_coefficient, Judgement("fixed", "configured", None)
     else:
@@ -256,7 +256,7 @@ def _interval(value: float, half_width: float) -> Row:
 
 
 def _derived_rows(spec: MotorSpec, path: Law, coefficient: Row) -> list[Row]:
-    """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
+    """Return rows of the figures that a coefficient implies, each a value or a feasible range."""
     first, second = spec.motor_type.surface_roughness_um
     limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None
     rows: list[Row] = []
@@ -338,7 +338,7 @@ def night_residuals(
 
 
 def residual_test_rows(residuals: Mapping[str, ResidualAnalysis], period_s: float) -> Iterator[Row]:
-    """Return rows of `residual_tests`: a test with its correlations and bounds at each lag."""
+    """Yield rows of `residual_tests`: a test with its correlations and bounds at each lag."""
     for part, analysis in residuals.items():
         tests = {("whiteness", "none"): analysis.whiteness}
         tests |= {("independence", name): test for name, test in analysis.independence.items()}

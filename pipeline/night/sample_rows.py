@@ -57,7 +57,7 @@ def data_columns(night: Night, samples: Samples, counter: RawChannel | None) -> 
 
 
 def hours_counted(counter: RawChannel | None) -> float | None:
-    """Hours that a counter of running hours went on in a night; None where it cannot tell."""
+    """Return hours that a counter of running hours went on in a night; None if it cannot tell."""
     if counter is None:
         return None
     reading = counter.value[np.argsort(counter.time_us, kind="stable")]

@@ -113,7 +113,7 @@ class Samples:
     viscosities: Mapping[str, Values] = field(default_factory=dict)
 
     def only(self, chosen: Mask) -> Samples:
-        """These samples without those that are not chosen; the night stays as long as it was."""
+        """Return these samples without those not chosen; the night stays as long as it was."""
         samples: dict[str, Any] = {name: getattr(self, name)[chosen] for name in OF_SAMPLES}
         for name in ("low_pressures_bar", "viscosities"):
             samples[name] = {of: value[chosen] for of, value in getattr(self, name).items()}
@@ -158,7 +158,7 @@ class Together:
 def bring_together(
     channels: Mapping[str, CleanChannel], night: Night, settings: Settings
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """All channels on the time base, and the joint rules: gap, standstill, guard, transient."""
+    """Return all channels on the time base, and joint rules: gap, standstill, guard, transient."""
     of_oil = {name: channel for name, channel in channels.items() if name in VISCOSITIES}
     channels = {name: channel for name, channel in channels.items() if name not in VISCOSITIES}
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
@@ -283,7 +283,7 @@ def _is_turning(together: Together) -> Mask:
 
 
 def _warm_up(together: Together, cleaning: Cleaning) -> Mask | None:
-    """The time after a start from a rest, of the motor or of the log, that is at least as long."""
+    """Return time after a start from a rest, of motor or log, that is at least as long."""
     length = round(60.0 * cleaning.warm_up_minutes / together.period_s)
     if not length:
         return None

@@ -198,7 +198,7 @@ def written_late(
 
 
 def _distance_of_nearest(ordered: Times, stamps: Times, *, own: int) -> NDArray[np.float64]:
-    """Distance of some stamps from the nearest of others, among which each is `own` times."""
+    """Return distance of some stamps from the nearest of others, each there `own` times."""
     before = np.searchsorted(ordered, stamps, side="left") - 1
     after = np.searchsorted(ordered, stamps, side="right")
     last = len(ordered) - 1

@@ -53,7 +53,7 @@ class Topic:
 
 
 def is_notified(row: Row) -> bool:
-    """False for a baseline that begins or is taken, unless that ends what was sent before."""
+    """Return False for a baseline that begins or is taken, unless it ends what was sent before."""
     return not {row["from_state"], row["to_state"]} <= {"insufficient", "ok"}
 
 
@@ -82,7 +82,7 @@ class Backlog:
 
 
 def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
-    """All that `[alarms]` names; none by default."""
+    """Return all that `[alarms]` names; none by default."""
     receivers: list[Receiver] = []
     if settings.command:
         receivers.append(Command(settings.command))
@@ -184,7 +184,7 @@ def deliver_summary(
 
 
 def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]:
-    """Undelivered rows of each receiver."""
+    """Return undelivered rows of each receiver."""
     if not receivers:
         return ()
     query = (
@@ -202,7 +202,7 @@ def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]
 
 
 def _published(output: Path, topic: Topic) -> dict[str, Row]:
-    """Published rows that are sent, by a hash of their key; those of a damaged file are missing."""
+    """Return published rows sent, by a hash of their key; those of a damaged file are missing."""
     rows: list[Row] = []
     for path in files_of(output, topic.table):
         try:
@@ -240,7 +240,7 @@ def _note_new(
 def _waiting(
     state: StateDatabase, name: str, topic: Topic, rows: Mapping[str, Row]
 ) -> Iterator[Sequence[Row]]:
-    """Rows of each delivery to a receiver: those that came together; what failed goes last."""
+    """Yield rows of each delivery to a receiver: together as they came, failed last."""
     notices = state.rows(
         f"SELECT tries, since, key, said, times FROM notices {OF_RECEIVER} AND since != ''",
         *(topic.table.name, name),
@@ -264,7 +264,7 @@ def _waiting(
 def _delivery(
     receiver: Receiver, kind: str, fleet: str, changes: Sequence[Row], due: dt.date | None = None
 ) -> Delivery:
-    """The delivery of some rows, or of the summary due on a date; its id depends on them alone."""
+    """Return delivery of some rows, or of a summary due; its id depends on them alone."""
     parts = [kind, str(due)] if due else [change["change_id"] for change in changes]
     key = f"msg_{_digest([fleet, receiver.name, *parts])}"
     document = {"id": key, "type": kind, "fleet": fleet, "changes": changes}

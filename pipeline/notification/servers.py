@@ -98,7 +98,7 @@ class Mail:
 
 
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
-    """The message of a delivery; if it is repeated, of the same `Message-ID`."""
+    """Return the message of a delivery; if it is repeated, of the same `Message-ID`."""
     document = json.loads(delivery.content)
     write = _summary if document["type"] == SUMMARY else _changes
     subject, paragraphs = write(document["changes"])
@@ -118,7 +118,7 @@ def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
 
 
 def _summary(motors: Sequence[Row]) -> tuple[str, list[Paragraph]]:
-    """Subject and paragraphs on the states of all motors."""
+    """Return subject and paragraphs on the states of all motors."""
     counts = Counter(row["state"] for row in motors)
     subject = ", ".join(f"{n} {plain(state)}" for state, n in counts.items())
     paragraphs = []
@@ -130,7 +130,7 @@ def _summary(motors: Sequence[Row]) -> tuple[str, list[Paragraph]]:
 
 
 def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
-    """Subject and paragraphs on changes of state, the motor that needs attention most first."""
+    """Return subject and paragraphs on changes of state, the most urgent motor first."""
     courses: dict[str, list[Row]] = {}
     for row in sorted(changes, key=_when):
         sensor = row["cause"] if row.get("cause") in SENSORS else ""
@@ -142,12 +142,12 @@ def _changes(changes: Sequence[Row]) -> tuple[str, list[Paragraph]]:
 
 
 def _when(row: Row) -> str:
-    """Night of a row of `alarms`, or time of a row of `intraday`."""
+    """Return night of a row of `alarms`, or time of a row of `intraday`."""
     return str(row.get("night") or row["time"])
 
 
 def _paragraph(name: str, course: Sequence[Row]) -> Paragraph:
-    """The last state with its reason, which ends on what to do, and those before it."""
+    """Return the last state with its reason, which ends on what to do, and those before it."""
     last = course[-1]
     states = [f"{plain(row['to_state'])} since {_when(row)}" for row in reversed(course)]
     before = ", ".join([*states[1:], plain(course[0]["from_state"])])
@@ -202,7 +202,7 @@ class WebHook:
 
 
 def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> str:
-    """HMAC-SHA256 over id, time and body, as receivers expect it.
+    """Return HMAC-SHA256 over id, time and body, as receivers expect it.
 
     Examples
     --------
@@ -217,7 +217,7 @@ def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> s
 
 
 def signing_key(secret: str) -> bytes:
-    """The key in a secret; raises UndeliveredError if it is no Base64."""
+    """Return the key in a secret; raises UndeliveredError if it is no Base64."""
     text = secret.removeprefix(SECRET_PREFIX)
     try:
         key = base64.b64decode(text + "=" * (-len(text) % 4), validate=True)
@@ -232,7 +232,7 @@ class _Nowhere(HTTPRedirectHandler):
     """Follows no redirect: nobody but the address in the config gets headers and alarms."""
 
     def redirect_request(self, *_: object) -> None:
-        """None: a redirect is an answer like others."""
+        """Return None: a redirect is an answer like others."""
 
 
 def _web_fault(error: Exception) -> str:
@@ -276,7 +276,7 @@ def talk(
 
 
 def fault_words(reason: object) -> str:
-    """A fault of a connection in words that quote nothing, as addresses may hold secrets."""
+    """Return a fault of a connection in words that quote nothing, as addresses may hold secrets."""
     if isinstance(reason, ssl.SSLCertVerificationError):
         return f"its certificate: {reason.verify_message}"
     if isinstance(reason, OSError) and reason.strerror:
@@ -285,7 +285,7 @@ def fault_words(reason: object) -> str:
 
 
 def filled(setting: str, text: str) -> str:
-    """A value of `[alarms]` with its environment variables.
+    """Return a value of `[alarms]` with its environment variables.
 
     Raises UndeliveredError if any is not set, or holds characters that no header may; its content
     is not quoted.

@@ -187,7 +187,7 @@ def build_report(
 
 
 def night_file_name(motor_id: str, night: dt.date) -> str:
-    """Path of a night's file within the report."""
+    """Return path of a night's file within the report."""
     return f"data/{motor_id}/{night}.js"
 
 
@@ -236,7 +236,7 @@ def _rows_of(
 
 
 def night_payload(night: dt.date, rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """What a motor's page shows of a night: words as of `explain`, and a chart."""
+    """Return what a motor's page shows of a night: words as of `explain`, and a chart."""
     none = pl.DataFrame()
     listed = {table.name: rows.get(table.name, none).to_dicts() for table in EXPLAINED}
     mode = listed["nights"][0]["flushing_mode"]
@@ -317,7 +317,7 @@ def _make_motor_pages(
 
 
 def _motor_values(motor: MotorHistory, changes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What the template of a motor's page names, besides facts and decisions."""
+    """Return what the template of a motor's page names, besides facts and decisions."""
     paths = motor.spec.motor_type.paths() if motor.spec else ()
     events = motor.spec.file.events if motor.spec else ()
     course = watch_chart(motor, [path.name for path in paths], events, changes)
@@ -338,13 +338,13 @@ def _motor_values(motor: MotorHistory, changes: Sequence[Mapping[str, Any]]) -> 
 
 
 def newest_changes(alarms: pl.DataFrame) -> list[dict[str, Any]]:
-    """A motor's newest rows of `alarms`, the newest first."""
+    """Return a motor's newest rows of `alarms`, the newest first."""
     rows = alarms.sort("night", "id", descending=[True, False]).head(SHOWN_CHANGES)
     return [row | {"indicator": what_of(row), "summary": _summary(row)} for row in rows.to_dicts()]
 
 
 def _summary(change: Mapping[str, Any]) -> str:
-    """A change of state in a few words: its size and part, else how its sentence begins."""
+    """Return a change of state in a few words: its size and part, else how its sentence begins."""
     part = f", {part_of(change['cause'])}" if change["cause"] else ""
     size = change_of(change)
     words = f"{size}{part}" if size else change["sentence"].partition(";")[0]
@@ -389,7 +389,7 @@ def _environment() -> Environment:
 
 
 def _program_hash() -> str:
-    """Hash of the program's own files: any of them may shape what pages say."""
+    """Return hash of the program's own files: any of them may shape what pages say."""
     package = FOLDER.parent
     files = sorted(path for path in package.rglob("*") if path.is_file() and path.suffix != ".pyc")
     digest = hashlib.sha256("".join(map(version, ("jinja2", "plotly"))).encode())

@@ -134,7 +134,7 @@ def watch_chart(
 
 
 def night_chart(samples: pl.DataFrame) -> Chart:
-    """Measured and modelled drain flow of a night with its inputs, from rows of `predictions`."""
+    """Return measured and modelled drain flow of a night and its inputs, from `predictions`."""
     time = samples["time"].dt.replace_time_zone(None).to_numpy().astype("datetime64[s]")
     steps = np.diff(time).astype(np.int64)
     longest = 3 * np.quantile(steps, 0.95) if len(steps) else 0
@@ -163,7 +163,7 @@ def night_chart(samples: pl.DataFrame) -> Chart:
 
 
 def residual_chart(tests: Iterable[Row]) -> Chart:
-    """Correlations of the errors lag by lag with their 99 % bands: equations (27) and (26).
+    """Return correlations of the errors lag by lag with their 99 % bands: equations (27) and (26).
 
     `tests` are rows of `residual_tests` of a fit; those of validation count where there are any.
     """
@@ -190,7 +190,7 @@ def residual_chart(tests: Iterable[Row]) -> Chart:
 
 
 def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
-    """The gap change of each night's own fit, %, in the colours of the paths."""
+    """Return the gap change of each night's own fit, %, in the colours of the paths."""
     paths = [name.removeprefix(GAP) for name in motor.trends if name.startswith(GAP)]
     places = path_places([*declared, *paths])
     courses = {path: motor.course(GAP + path) for path in sorted(paths, key=places.__getitem__)}
@@ -231,7 +231,7 @@ def _projection(motor: MotorHistory) -> tuple[Line, Area] | None:
 
 
 def _alarm_level(motor: MotorHistory) -> float:
-    """The rise that is an alarm, %: the fleet's, or that to the motor type's own limit."""
+    """Return the rise that is an alarm, %: the fleet's, or that to the motor type's own limit."""
     row = motor.rows.row(-1, named=True)
     level = float(row["alarm_level_percent"] or np.nan)
     reference = motor.trends.get("reference_leakage")
@@ -242,7 +242,7 @@ def _alarm_level(motor: MotorHistory) -> float:
 
 
 def _leakage_panel(motor: MotorHistory, projection: tuple[Line, Area] | None) -> Panel:
-    """The leakage against its baseline; without any, the drain flow as measured."""
+    """Return the leakage against its baseline; without any, the drain flow as measured."""
     change, lower, upper = (
         motor.figure(f"leakage_change_{end}") for end in ("percent", "lower", "upper")
     )
@@ -295,7 +295,7 @@ def _evidence_panel(motor: MotorHistory) -> Panel | None:
 
 
 def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
-    """Nights in which a change was detected, by its last cause, and nights that began an alarm."""
+    """Yield nights in which a change was detected, by its last cause, or an alarm began."""
     detected = motor.rows.filter(pl.col("detected_on").is_not_null(), ~pl.col("still_rising"))
     last = detected.unique("detected_on", keep="last", maintain_order=True)
     for night, cause in last.select("detected_on", "cause").iter_rows():
@@ -307,7 +307,7 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
 
 
 def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> Line:
-    """A line in the look of a place; dash and mark differ too, to be distinguished in grey."""
+    """Return line in the look of a place; dash and mark differ too, to be distinguished in grey."""
     dashes = ("solid", "dash", "dot", "dashdot", "longdash")
     symbols = ("circle", "square", "diamond", "triangle-up", "x")
     colour, dash, symbol = (looks[place % len(looks)] for looks in (COLOURS, dashes, symbols))
@@ -315,7 +315,7 @@ def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> 
 
 
 def _shown(panels: Iterable[Panel | None]) -> tuple[Panel, ...]:
-    """The panels that have a line with a value, with these lines alone."""
+    """Return the panels that have a line with a value, with these lines alone."""
     filled = []
     for panel in panels:
         known = [line for line in panel.lines if np.isfinite(line.value).any()] if panel else []
@@ -325,7 +325,7 @@ def _shown(panels: Iterable[Panel | None]) -> tuple[Panel, ...]:
 
 
 def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:
-    """Ends of an axis that reach at least so far around the middle value."""
+    """Return ends of an axis that reach at least so far around the middle value."""
     known = np.concatenate(values)
     known = known[np.isfinite(known)]
     middle = float(np.median(known))
@@ -334,7 +334,7 @@ def _ends(values: Sequence[Array], reach: float) -> tuple[float, float]:
 
 
 def fleet_span(motors: Sequence[MotorHistory]) -> tuple[dt.date, dt.date] | None:
-    """The first and the newest night of all motors; None where there is none."""
+    """Return the first and the newest night of all motors; None where there is none."""
     nights = [night for motor in motors for night in (*motor.nights[:1], *motor.nights[-1:])]
     return (min(nights), max(nights)) if nights else None
 

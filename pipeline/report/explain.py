@@ -134,7 +134,7 @@ def _files(rows: list[Row], reason: str | None) -> Iterator[str]:
 
 
 def _refusals(rows: list[Row]) -> Iterator[str]:
-    """A line for each channel, the rule that refused most first."""
+    """Yield a line for each channel, the rule that refused most first."""
     notable = [
         row
         for row in rows
@@ -151,13 +151,13 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
 
 
 def refusal(code: str) -> str:
-    """Words of a rule that refuses samples."""
+    """Return words of a rule that refuses samples."""
     reason = QUALITY_REASONS.get(code)
     return plain(code) if reason is None else reason.words
 
 
 def _state(own: Row) -> Iterator[str]:
-    """State of the night, and what it rests on."""
+    """Yield state of the night, and what it rests on."""
     if own["state"] is None:
         return
     yield f"{plain(own['state'])}: {statement(own['sentence'], own['advice'])}"
@@ -210,7 +210,7 @@ def lag_words(paired_s: float, fit: Row) -> Iterator[str]:
 
 
 def _leakages(own: Row, fit: Row) -> Iterator[str]:
-    """The two leakages with their conditions, or why there is none."""
+    """Yield the two leakages with their conditions, or why there is none."""
     why = f"none without a baseline: {own['sentence'] or own['leakage_reason']}"
     at = f", {_conditions(own, 'own')}" if own["own_pressure_bar"] is not None else ""
     places = {
@@ -231,7 +231,7 @@ def _leakages(own: Row, fit: Row) -> Iterator[str]:
 
 
 def _conditions(row: Row, kind: str) -> str:
-    """Conditions of a leakage; `kind` is how their columns begin."""
+    """Return conditions of a leakage; `kind` is how their columns begin."""
     return conditions(
         *(row[f"{kind}_{quantity}"] for quantity in ("pressure_bar", "temperature_c", "speed_rpm"))
     )
@@ -245,7 +245,7 @@ def conditions(
 
 
 def _figure(fit: Row) -> str:
-    """Leakage by the night's own fit with its interval and its total ±, as far as there are any."""
+    """Return leakage by the night's own fit with interval and total ±, as far as there are any."""
     name = "fitted_leakage"
     text = f"{fit[f'{name}_l_per_min']:#.4g} l/min"
     if fit[f"{name}_lower"] is not None:
@@ -269,7 +269,7 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
 
 
 def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
-    """Systematic errors of the leakage at the reference, and the largest of them."""
+    """Yield systematic errors of the leakage at the reference, and the largest of them."""
     leakage = fit["fitted_leakage_l_per_min"]
     effects = [row for row in rows if row["indicator"] == "fitted_leakage" and row["effect"]]
     if not effects or not leakage:
@@ -293,7 +293,7 @@ def _tolerance(row: Row) -> str:
 
 
 def explain_residuals(fit: Row, tests: list[Row]) -> Iterator[str]:
-    """Return lines on the errors of training and of validation."""
+    """Yield lines on the errors of training and of validation."""
     for part in ("training", "validation"):
         rows = [row for row in tests if row["part"] == part]
         if rows:
@@ -313,7 +313,7 @@ def _size(fit: Row, part: str) -> str:
 
 
 def _tests(rows: list[Row]) -> str:
-    """What the tests of whiteness and of independence from each input say."""
+    """Return what the tests of whiteness and of independence from each input say."""
     (white,) = [row for row in rows if row["test"] == "whiteness"]
     if white["verdict"] == "not_tested":
         return f"not tested, {white['reason']}"
@@ -378,7 +378,7 @@ def _lines(spec: MotorSpec, row: dict[str, Any], blocks: pl.DataFrame) -> Iterat
 
 
 def _spreads(motor: Motor, outcome: Search) -> Iterator[str]:
-    """Smallest and largest value of each parameter and coefficient over starts at the minimum."""
+    """Yield the ends of each parameter and coefficient over starts at the minimum."""
     if not outcome.at_minimum:
         return
     finals = np.array([start.final for start in outcome.at_minimum])

@@ -38,7 +38,7 @@ SIGNS = {"circle": "●", "square": "■", "diamond": "◆", "triangle-up": "▲
 
 
 def figure(chart: Chart) -> Payload:
-    """The chart for `draw` of the pages; empty where there is nothing to show.
+    """Return the chart for `draw` of the pages; empty where there is nothing to show.
 
     `x` holds the times of traces that have none of their own; `ranges` the ends of the axis of time
     by the number of nights shown.
@@ -101,7 +101,7 @@ def figure(chart: Chart) -> Payload:
 
 
 def script_json(document: Mapping[str, Any]) -> str:
-    r"""JSON that may stand inside a script, of a page or of a file of its own.
+    r"""Return JSON that may stand inside a script, of a page or of a file of its own.
 
     Raises ValueError if it holds NaN or infinity, which JSON has not.
     """
@@ -124,7 +124,7 @@ def numbers(values: Array) -> list[float | None]:
 
 
 def safe(name: str) -> str:
-    """A name as Plotly shows it: it reads some HTML, and a percent sign begins a figure."""
+    """Return a name as Plotly shows it: it reads some HTML, and a percent sign begins a figure."""
     return escape(name, quote=False).replace("%", "")
 
 
@@ -187,7 +187,7 @@ def _area(area: Area, axis: str) -> Payload:
 
 
 def _mark_trace(marks: Sequence[Mark]) -> Payload:
-    """The marks at the top of the first panel, with their words."""
+    """Return the marks at the top of the first panel, with their words."""
     return {
         "x": [str(mark.night) for mark in marks],
         "y": [0.985] * len(marks),
@@ -205,7 +205,7 @@ def _mark_trace(marks: Sequence[Mark]) -> Payload:
 
 
 def _head(panel: Panel) -> str:
-    """Title and unit of a panel; below, in their colours, the names of its lines."""
+    """Return title and unit of a panel; below, in their colours, the names of its lines."""
     unit = f", {panel.unit}" if panel.unit else ""
     title = f"<b>{panel.title}</b>{unit}"
     if len(panel.lines) < 2:
@@ -224,13 +224,13 @@ def _head(panel: Panel) -> str:
 
 
 def _text(words: str, axis: str) -> Payload:
-    """Words above a panel."""
+    """Return words above a panel."""
     place = {"xref": "paper", "x": 0, "xanchor": "left", "yref": f"{axis} domain", "y": 1}
     return place | {"text": words, "showarrow": False, "yanchor": "bottom", "align": "left"}
 
 
 def _ranges(chart: Chart) -> dict[str, list[str]]:
-    """Ends of the axis of time by the nights that it shows: a little beyond them, and ahead."""
+    """Return ends of the axis of time : a little beyond the nights that it shows, and ahead."""
     first, last = chart.time[[0, -1]].astype("datetime64[m]")
     begins = {str(n): last - np.timedelta64(n, "D") for n in RANGES}
     begins = {name: begin for name, begin in begins.items() if begin > first} | {"all": first}

@@ -70,7 +70,7 @@ class FleetStatus:
 def fleet_status(
     output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = ()
 ) -> FleetStatus:
-    """The state of some motors, and undelivered changes by receiver.
+    """Return the state of some motors, and undelivered changes by receiver.
 
     Raises StoreError if a table is damaged.
     """
@@ -86,7 +86,7 @@ def fleet_status(
 
 
 def current_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
-    """States of some motors as the last run left them, with their intraday check.
+    """Return states of some motors as the last run left them, with their intraday check.
 
     Raises StoreError if a table is damaged.
     """
@@ -153,7 +153,7 @@ def failed_nights(output: Path, motor_ids: Sequence[str]) -> dict[str, dict[dt.d
 
 
 def last_alarm(output: Path, motor_id: str, indicator: str, states: Collection[str]) -> dt.date:
-    """The night of the last alarm of an indicator in any of some states.
+    """Return the night of the last alarm of an indicator in any of some states.
 
     Raises UsageError (``no_alarm``) if there was none; the message lists the alarms so far.
     """
@@ -176,7 +176,7 @@ def finite_rows(
     motor_ids: Sequence[str],
     nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """Rows of a table, NaN and infinity as null: no page can show them, and JSON has none.
+    """Return rows of a table, NaN and infinity as null: no page can show them, and JSON has none.
 
     Raises StoreError if a file is damaged, or of a newer version of the program.
     """
@@ -253,11 +253,11 @@ class MotorHistory:
         return list(ends.unique(maintain_order=True).iter_rows())
 
     def figure(self, name: str) -> Array:
-        """A figure of `nights`, shape (n,); NaN in nights without it."""
+        """Return a figure of `nights`, shape (n,); NaN in nights without it."""
         return self.rows[name].cast(pl.Float64).to_numpy()
 
     def course(self, indicator: str) -> tuple[Array, Array, Array]:
-        """An indicator of the nights that count, and the ends of its interval, shape (n,) each."""
+        """Return an indicator of the nights that count, and the ends of its interval, (n,) each."""
         rows = self.trends[indicator].filter(pl.col("reason").is_null())
         trend = self.rows.select("night").join(rows, on="night", how="left", maintain_order="left")
         value, lower, upper = (
@@ -267,7 +267,7 @@ class MotorHistory:
 
 
 def motor_histories(fleet: Fleet, states: Sequence[MotorState]) -> list[MotorHistory]:
-    """The history of each motor."""
+    """Return the history of each motor."""
     motor_ids = [state.motor_id for state in states]
     nights, trends = (
         by_motor(finite_rows(fleet.output, table, motor_ids).sort("night"))
@@ -292,5 +292,5 @@ def motor_histories(fleet: Fleet, states: Sequence[MotorState]) -> list[MotorHis
 
 
 def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    """Rows of a table by motor, in their order."""
+    """Return rows of a table by motor, in their order."""
     return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}

@@ -313,7 +313,7 @@ def _motor_outcomes(
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
-    """As `motor_task.run_motor`, with which a process loads the science."""
+    """Run `motor_task.run_motor`, with which a process loads the science."""
     from pipeline.run import motor_task
 
     return motor_task.run_motor(task)
@@ -322,7 +322,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
 def unchanged_motors(
     tasks: Sequence[MotorTask], execution: Execution, state: StateDatabase
 ) -> Iterator[MotorOutcome]:
-    """Outcomes of the motors with nothing to be done, without workers and without the science.
+    """Yield outcomes of motors with nothing to be done, without workers and the science.
 
     A thread asks the logs for size and time, as their folders may be on a mount that hangs; what it
     does not tell in time is left to the motors' tasks.

@@ -97,13 +97,13 @@ def run_motor(task: MotorTask) -> MotorOutcome:
 
 
 def _roller_identified(outcome: NightOutcome) -> bool | None:
-    """Whether a night's primary fit identifies the rollers' scale; None without fit or rollers."""
+    """Return whether a night's primary fit identifies the rollers' scale; None without either."""
     verdicts = [row.get("roller_verdict") for row in outcome.rows["fits"] if row["is_primary"]]
     return verdicts[0] and verdicts[0] == "identified"
 
 
 def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None:
-    """Night under which a file's row stands: its first, or else the motor's first; None: none."""
+    """Return night under which a file's row stands: its first, else the motor's first, or None."""
     return min(labels_of(record) or nights, default=None)
 
 
@@ -198,7 +198,7 @@ class MotorRun(NightPlan):
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
     def _unless_less(self, outcome: NightOutcome) -> NightOutcome | None:
-        """Outcome of a night that was read; None where what is published was made from more."""
+        """Return outcome of a night that was read; None if what is published was made from more."""
         label = outcome.night
         is_known = self.is_published(label) or not self.nights_before  # a state file may be lost
         if not is_known or self.task.asks_for(label) or self.has_its_logs(label):
@@ -318,7 +318,7 @@ class MotorRun(NightPlan):
         return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 
     def _usual(self, label: dt.date) -> dict[str, float]:
-        """Medians of the last fitted nights before, or of the first after; empty where few."""
+        """Return medians of the last fitted nights before, or of the first after; empty if few."""
         nights = self._fitted_nights(label)
         before = [night for night in nights if night < label][-USUAL_NIGHTS:]
         after = [
@@ -369,7 +369,7 @@ class MotorRun(NightPlan):
             stage(staged_file(self.task.staging / "nights", self.spec.motor_id), staged)
 
     def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
-        """Rows of `log_files` of some nights, and of those which a file's row leaves or enters.
+        """Return rows of `log_files` of some nights and of those that a row leaves or enters.
 
         Of a night that is not done, the other rows stay as they are.
         """

@@ -151,7 +151,7 @@ class NightPlan:
                 self.records[label] = replace(record, stays=stays)
 
     def _outdated_by_settings(self) -> dict[dt.date, Step]:
-        """Nights that were made with other settings, and how far they have to be made anew."""
+        """Return nights that were made with other settings and how far to make them anew."""
         present, steps = self.logs.present(), {}
         for label, record in self.nights_before.items():
             if not record.statistics_hash:
@@ -232,7 +232,7 @@ class NightPlan:
         return decision if is_new else None
 
     def nights_of_delay(self) -> list[dt.date]:
-        """Nights that decide on the drain flow's delay; empty where it is decided, or too early.
+        """Return nights that decide on the drain flow's delay; empty if decided, or too early.
 
         The first ones, once; the first ones asked for where somebody wants nights made anew.
         """
@@ -250,7 +250,7 @@ class NightPlan:
         return fitted[:DECIDING_NIGHTS] if len(fitted) >= DECIDING_NIGHTS else []
 
     def _without_log(self) -> set[dt.date]:
-        """Failed nights whose log somebody has removed: there is nothing to fail any more."""
+        """Return failed nights whose log somebody has removed: nothing fails any more."""
         # Nobody can say so where a folder is not mounted, or does not answer.
         if not (self.logs.files or self.task.retry) or self.task.silent:
             return set()
@@ -280,7 +280,7 @@ class NightPlan:
         }
 
     def _why_nothing(self, status: str) -> str | None:
-        """The reason for no fit although nothing failed; None with a fit, or none to do."""
+        """Return the reason for no fit although nothing failed; None with a fit, or none to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:

@@ -101,7 +101,7 @@ def _rename_rows(state: StateDatabase, staging: Path, old: str, new: str) -> Non
 
 
 def _renamed(table: Table, old: str, new: str, rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows of a file under the new name; of a night under both names those under the old."""
+    """Return rows of a file under the new name; of a night under both names those under the old."""
     is_old = pl.col("motor_id") == old
     moved = rows.filter(is_old).with_columns(motor_id=pl.lit(new))
     if "id" in rows.columns:  # begins with the motor's name

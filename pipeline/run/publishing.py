@@ -124,14 +124,14 @@ def make_trends(
 
 
 def run_trends(task: TrendTask) -> TrendOutcome:
-    """As `stage.run_trends`, with which a process loads the science."""
+    """Run `stage.run_trends`, with which a process loads the science."""
     from pipeline.trends import stage
 
     return stage.run_trends(task)
 
 
 def newest_of_fleet(fleet: Fleet, state: StateDatabase, clock: dt.datetime) -> NewestNight | None:
-    """Newest night, as `newest_night_of`; of a fleet that is silent the last by a run's clock."""
+    """Return newest night, as `newest_night_of`; of a silent fleet the last by a run's clock."""
     nights = fleet.settings.nights
     latest = night_of(latest_us(clock), nights)
     newest = newest_night_of(state, [spec.motor_id for spec in fleet.motors], latest)

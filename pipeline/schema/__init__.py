@@ -204,7 +204,7 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
 
 
 def staged_table(table: Table, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
-    """The same in Arrow, without the run: many rows of many columns take a quarter of the time.
+    """Return same in Arrow, without the run: many rows of many columns take a quarter of the time.
 
     Raises ValueError or TypeError for a column that the table has not, or a value that a column
     cannot hold.

@@ -378,7 +378,7 @@ def _lag_notes(spec: MotorSpec, forecast: Sequence[NightForecast]) -> Iterator[s
 
 
 def _is_first_night(spec: MotorSpec, records: Mapping[str, FileRecord]) -> bool:
-    """True where the motor has no night that is over: all its logs are still being written."""
+    """Return True where the motor has no night that is over: all logs are still being written."""
     current = night_of(microseconds(now()), spec.settings.nights)
     return all(
         record.status == "growing" or min(labels_of(record), default=current) >= current
@@ -387,7 +387,7 @@ def _is_first_night(spec: MotorSpec, records: Mapping[str, FileRecord]) -> bool:
 
 
 def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]:
-    """The fault of a motor of which no night would be fitted."""
+    """Yield the fault of a motor of which no night would be fitted."""
     read = [night for night in forecast if night.status != NO_NEW_DATA] or forecast
     if forecast and all(night.status != OK for night in forecast):
         reasons = dict.fromkeys(f"{night.status}: {night.reason}" for night in read)
@@ -397,7 +397,7 @@ def _no_night(forecast: Sequence[NightForecast], n_nights: int) -> Iterator[str]
 
 
 def _cut(spec: MotorSpec, records: Mapping[str, FileRecord], logs: FolderLogs) -> Iterator[str]:
-    """Text logs that end within a line."""
+    """Yield text logs that end within a line."""
     if spec.file.logs.format != "csv":
         return
     for name, record in records.items():

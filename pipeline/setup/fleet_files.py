@@ -66,7 +66,7 @@ def fleet_files(
     observed: Sequence[Observed] = (),
     answers: Mapping[str, str] = NO_ANSWERS,
 ) -> dict[str, str]:
-    """Texts of the fleet file and of each motor's, by path below the folder.
+    """Return texts of the fleet file and of each motor's, by path below the folder.
 
     Of `answers`, ``MOTOR.motor_type`` and ``MOTOR.oil`` are for that motor.
     """
@@ -99,7 +99,7 @@ def fleet_files(
 
 
 def _are_past(observed: Sequence[Observed]) -> bool:
-    """True for logs that ended long ago: by this machine's clock all motors would be stale."""
+    """Return True for logs that ended long ago: by this machine's clock all would be stale."""
     ends = [end for motor in observed for _, end in motor.spans]
     return bool(ends) and now() - max(ends) > dt.timedelta(Alarms().stale_after_nights)
 
@@ -118,7 +118,7 @@ def _name(motor: ProposedMotor) -> str:
 
 
 def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
-    """A motor's file, without what the defaults have; a channel's table stands alone."""
+    """Return a motor's file, without what the defaults have; a channel's table stands alone."""
     head = {"motor_id": motor.motor_id}
     head |= {"name_in_log": _name(motor)} if _name(motor) != motor.motor_id else {}
     known = named(shared, _name(motor))
@@ -128,7 +128,7 @@ def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
 
 
 def _is_said(value: Any, known: Any) -> bool:
-    """True for what is known already, of a table with more keys or without."""
+    """Return True for what is known already, of a table with more keys or without."""
     are_tables = isinstance(value, dict) and isinstance(known, dict)
     return value.items() <= known.items() if are_tables else bool(value == known)
 
@@ -141,7 +141,7 @@ def added_files(
     oil: str,
     answers: Mapping[str, str],
 ) -> dict[str, str]:
-    """Texts of the files of motors that a fleet does not have, by path below its folder.
+    """Return texts of the files of motors that a fleet does not have, by path below its folder.
 
     Raises UsageError (``defaults``) where the fleet's defaults would change what was proposed.
     """
@@ -191,7 +191,7 @@ def write_fleet(files: Mapping[str, str], folder: Path, types: Path, *motor_type
 
 
 def defaults_of(fleet_file: Path) -> Document:
-    """`[defaults]` of a fleet file that can be read."""
+    """Return `[defaults]` of a fleet file that can be read."""
     return dict(tomllib.loads(fleet_file.read_bytes().decode("utf-8-sig")).get("defaults", {}))
 
 
@@ -202,7 +202,7 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
 
 
 def _flat(document: Document) -> Document:
-    """A motor's document with the keys of logs, and the channels, by their paths."""
+    """Return a motor's document with the keys of logs, and the channels, by their paths."""
     settings = {key: value for key, value in document.items() if key not in ("logs", "channels")}
     for table in ("logs", "channels"):
         settings |= {f"{table}.{key}": value for key, value in document.get(table, {}).items()}
@@ -210,7 +210,7 @@ def _flat(document: Document) -> Document:
 
 
 def _marked(value: Any, name: str) -> Any:
-    """Texts with the mark in the place of a motor's name; a query is of all motors."""
+    """Return texts with the mark in the place of a motor's name; a query is of all motors."""
     if isinstance(value, dict):
         return (
             value if "query" in value else {k: _marked(inner, name) for k, inner in value.items()}
@@ -221,7 +221,7 @@ def _marked(value: Any, name: str) -> Any:
 
 
 def _toml(document: Document) -> str:
-    """Text of values, and of tables of values, by their path."""
+    """Return text of values, and of tables of values, by their path."""
     tables: dict[str, Document] = {}
     for path, value in document.items():
         table, _, key = path.rpartition(".")
@@ -285,7 +285,7 @@ def observe(motor: ProposedMotor) -> Observed:
 
 
 def reference(observed: Sequence[Observed]) -> dict[str, float]:
-    """Conditions of `[reference]`: the fleet's own medians, to two figures, as far as possible."""
+    """Return conditions of `[reference]`: the fleet's medians, to two figures, if possible."""
     conditions: dict[str, float] = {}
     for key, name in _REFERENCE.items():
         known = [value for observation in observed if (value := observation.typical.get(name))]
@@ -296,7 +296,7 @@ def reference(observed: Sequence[Observed]) -> dict[str, float]:
 
 
 def night_end(observed: Sequence[Observed]) -> int | None:
-    """Hour at which logs stop for some hours every day; None where they do not."""
+    """Return hour at which logs stop for some hours every day; None where they do not."""
     covered = set[int]()
     for begin, end in (span for observation in observed for span in observation.spans):
         hours = min(int((end - begin) / dt.timedelta(hours=1)) + 1, 24)
@@ -327,5 +327,5 @@ def with_sampling(proposal: Proposal, observed: Mapping[str, Observed]) -> Propo
 
 
 def observed_of(proposal: Proposal) -> dict[str, Observed]:
-    """What the logs of some motors are, by id."""
+    """Return what the logs of some motors are, by id."""
     return {motor.motor_id: observe(motor) for motor in proposal.motors[:_MOST_MOTORS]}

@@ -175,7 +175,7 @@ def _is_one_motor(
     *,
     is_word: bool,
 ) -> bool:
-    """True if files that differ by a count, or a word, are one motor's.
+    """Return True if files that differ by a count, or a word, are one motor's.
 
     It is asked where that is not clear.
     """

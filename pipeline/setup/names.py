@@ -61,7 +61,7 @@ class Meaning:
 
 @cache
 def _known(table: str, key: str) -> re.Pattern[str]:
-    """Words of the vocabulary, with and without the marks on their letters."""
+    """Return words of the vocabulary, with and without the marks on their letters."""
     words = {
         spelling for word in VOCABULARY[table][key].split() for spelling in _spelled(word.lower())
     }
@@ -78,12 +78,12 @@ def _spelled(word: str) -> Iterator[str]:
 
 
 def is_in(words: Iterable[str], table: str, key: str) -> bool:
-    """True if any word is of the vocabulary."""
+    """Return True if any word is of the vocabulary."""
     return any(map(_known(table, key).fullmatch, words))
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """Words and numbers of a name, in lower case, without what stands in brackets."""
+    """Return words and numbers of a name, in lower case, without what stands in brackets."""
     plain = unicodedata.normalize("NFC", _BRACKETED.sub(" ", re.sub("[Δ∆]", "d", name)))
     words = _WORD.findall(_HIGHER.sub(" ", plain).lower())
     return tuple(re.sub(r"\bd p\b", "dp", " ".join(words)).split())
@@ -95,13 +95,13 @@ _UNITS |= {unit if unit == "Pa" else unit.lower(): unit for unit in QUANTITY_OF}
 
 
 def unit_named(text: str) -> str | None:
-    """Unit of the config that a text is the name of."""
+    """Return unit of the config that a text is the name of."""
     plain = re.sub(r"[\s·\[\]]|^unit[=:]", "", text)
     return _UNITS.get(plain if plain.lower() == "pa" else plain.lower())
 
 
 def unit_in(name: str) -> str | None:
-    """Unit that a name states: in brackets, behind a comma or stroke, or as a word of its own."""
+    """Return unit that a name states: in brackets, behind a comma or stroke, or as a word."""
     return None if unread_unit(name) else unit_named(_unit_text(name))
 
 
@@ -131,14 +131,14 @@ def unread_unit(name: str, unit: str = "") -> str:
 
 
 def _may_be_unit(words: Sequence[str]) -> bool:
-    """True for words of a bracket that say nothing of a place or quantity."""
+    """Return True for words of a bracket that say nothing of a place or quantity."""
     tables = [(table, key) for table in ("quantity", "role", "other") for key in VOCABULARY[table]]
     has_letters = any(re.search(r"[^\W\d]", word) for word in words)
     return has_letters and not any(is_in(words, table, key) for table, key in tables)
 
 
 def _unit_text(name: str) -> str:
-    """The unit in a name, as its words have it; empty for none."""
+    """Return the unit in a name, as its words have it; empty for none."""
     name = _LABEL.sub("", name)
     bracketed = _BRACKETED.findall(name)
     behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
@@ -159,7 +159,7 @@ def without_unit(name: str) -> str:
 
 @lru_cache(2**16)
 def meaning_of(name: str, unit: str = "") -> Meaning:
-    """Meaning of a name, with what stands beside it as a unit."""
+    """Return meaning of a name, with what stands beside it as a unit."""
     words = words_of(without_unit(name))
     quantities = list(_quantities(words, name))
     known_unit = unit_named(unit) or unit_named(_unit_text(name))
@@ -182,7 +182,7 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
 
 
 def _quantities(words: Sequence[str], name: str) -> Iterator[str]:
-    """Quantities that words name; by a tag's code or a lone letter where no word does."""
+    """Return quantities that words name; by a tag's code or a lone letter where no word does."""
     quantities = [
         quantity for quantity in VOCABULARY["quantity"] if is_in(words, "quantity", quantity)
     ]
@@ -204,7 +204,7 @@ def _codes(name: str) -> list[str]:
 
 
 def _role(words: Sequence[str], name: str) -> str | None:
-    """Channel of a pressure; None: its name does not say whose it is."""
+    """Return channel of a pressure; None: its name does not say whose it is."""
     if "difference" in _codes(name):
         return "pressure_difference"
     # A letter is that of a port only behind a word for port or pressure.
@@ -220,7 +220,7 @@ def _role(words: Sequence[str], name: str) -> str | None:
 def likely_units(
     channel: str, values: Iterable[float], usual: tuple[float, float] | None = None
 ) -> tuple[str, ...]:
-    """Units in which readings are usual, by default such as a motor at work shows.
+    """Return units in which readings are usual, by default such as a motor at work shows.
 
     The commonest are first.
     """
@@ -236,7 +236,7 @@ def likely_units(
 
 
 def missing_channels(channels: Collection[str]) -> list[str]:
-    """Channels that a motor has to have, besides those that it has."""
+    """Return channels that a motor has to have, besides those that it has."""
     ports = [name for name in PORT_PRESSURES if name not in channels]
     if "pressure_difference" in channels:
         ports = []
@@ -254,7 +254,7 @@ class Group:
 
 
 def groups_of(names: Sequence[str], units: Mapping[str, str]) -> tuple[list[Group], list[str]]:
-    """Names by motor, and those that are no motor's.
+    """Return names by motor, and those that are no motor's.
 
     A group is the longest common part behind which the most channels stand, each once. Names that
     share nothing are one motor's, called nothing.
@@ -300,7 +300,7 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
 
 
 def _fit(group: Group, units: Mapping[str, str]) -> tuple[int, int]:
-    """Channels named once less those named again, then the length of what is common."""
+    """Return channels named once less those named again, then the length of what is common."""
     channels = (
         meaning_of(signal, units.get(name, "")).channel for name, signal in group.signals.items()
     )

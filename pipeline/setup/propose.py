@@ -124,12 +124,12 @@ def _sniffed(path: Path, time: str) -> Table | LogError:
 
 
 def _is_empty(table: Table | LogError) -> bool:
-    """True for a log that says nothing of its kind, such as that of a day that begins."""
+    """Return True for a log that says nothing of its kind, such as that of a day that begins."""
     return isinstance(table, LogError) and table.code in ("log_empty", "log_truncated")
 
 
 def _with_zone_of(table: Table, first: Table | LogError) -> Table:
-    """The table with the question of the zone, if the first log names none and the newest does."""
+    """Return table with the question of the zone, if the first log names none and newest does."""
     if isinstance(first, LogError) or any(asked.key == "time_zone" for asked in table.questions):
         return table
     asked_first = tuple(asked for asked in first.questions if asked.key == "time_zone")
@@ -147,7 +147,7 @@ def _in_common(table: Table | LogError) -> object:
 def _without_copies(
     kinds: Sequence[Kind], table_of: Callable[[Path], Table | LogError], asked: Asked
 ) -> list[Kind]:
-    """The kinds without those of which the rows are another's, and the name but for a word.
+    """Return the kinds without those of which the rows are another's, and the name but for a word.
 
     Which of both is a motor's is asked, also of those of one name in two formats; a name of its own
     is a motor's own.
@@ -181,7 +181,7 @@ def _words(pattern: str) -> set[str]:
 
 
 def _why_no_log(folder: Path) -> str:
-    """What is in a folder without a log."""
+    """Return what is in a folder without a log."""
     names = sorted(path.name for path in folder.rglob("*") if path.is_file())
     there = f"; there is {', '.join(names[:3])}" if names else ""
     packed = any(
@@ -196,7 +196,7 @@ def _why_no_log(folder: Path) -> str:
 
 
 def _why_no_motor(table: Table) -> str:
-    """Why nothing of a log is a motor's."""
+    """Return why nothing of a log is a motor's."""
     for column in table.columns:
         cell = next(iter(column.filled), "")
         parts = cell.split(maxsplit=1)
@@ -221,7 +221,7 @@ def _why_no_motor(table: Table) -> str:
 
 
 def _dated_by_names(table: Table, kind: Kind) -> Table:
-    """The table with the form of its stamps in which these agree with the dates in names."""
+    """Return the table with the form of its stamps in which these agree with the dates in names."""
     if table.logs.get("time") == "log_time":
         # A recorder that imported a log has its own time beside that of the samples.
         by_sample = replace(table, logs={**table.logs, "time": "publish_time"})
@@ -252,7 +252,7 @@ def _dated_by_names(table: Table, kind: Kind) -> Table:
 
 
 def _agrees(path: Path, table: Table) -> bool:
-    """True if the stamps of a log are near a date in its name."""
+    """Return True if the stamps of a log are near a date in its name."""
     span = _span(path, table)
     off = None if span is None else days_off("/".join(path.parts[-4:]), *span)
     return off is not None and off <= NEAR_DAYS
@@ -275,7 +275,7 @@ def _span(path: Path, table: Table | LogError) -> tuple[int, int] | None:
 
 
 def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
-    """The motors of logs that are alike; none where their columns are not enough for any."""
+    """Return the motors of logs that are alike; none where their columns are not enough for any."""
     signals = signals_of(table)
     tag = signals.logs.get("channel_column")
     several = {
@@ -320,7 +320,7 @@ def _of_readings(names: Cells) -> Cells:
 def _grouped(
     table: Table, logs: Mapping[str, Any], kind: Kind, log: str, asked: Asked
 ) -> Iterator[ProposedMotor]:
-    """The motors whose columns, tags or fields there are; `log` names what none of them does."""
+    """Yield motors whose columns, tags or fields there are; `log` names what none of them does."""
     by_name = {column.name: column for column in table.columns}
     further = cells_of(table)
     groups, left = groups_of(list(by_name), {name: column.unit for name, column in by_name.items()})
@@ -339,12 +339,12 @@ def _grouped(
 
 
 def _plain(name: str) -> str:
-    """A name as an id may be."""
+    """Return a name as an id may be."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._")[:64] or "motor"
 
 
 def _apart(motors: Sequence[ProposedMotor]) -> Iterator[ProposedMotor]:
-    """The motors, each with an id of its own."""
+    """Yield the motors, each with an id of its own."""
     taken: set[str] = set()
     for motor in motors:
         others = (f"{motor.motor_id}-{number}" for number in count(2))

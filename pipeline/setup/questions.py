@@ -65,7 +65,7 @@ class Asked:
     def ask(
         self, key: str, text: str, choices: Iterable[str] = (), known: Iterable[str] | None = None
     ) -> str | None:
-        """The answer to a question; None, and the question is open, without any.
+        """Return the answer to a question; None, and the question is open, without any.
 
         The answer has to be `known`, by default one of the choices; any is taken of none.
         """
@@ -82,7 +82,7 @@ class Asked:
         return answer
 
     def keys_of(self, table: Table) -> dict[str, Any]:
-        """Keys of ``[logs]`` with the answers to what the log does not tell.
+        """Return keys of ``[logs]`` with the answers to what the log does not tell.
 
         Logs that read alike share an answer.
         """
@@ -118,7 +118,7 @@ class Asked:
 
 
 def without_motor(place: str, motor: str) -> str:
-    """The name of a column or tag without the motor's."""
+    """Return the name of a column or tag without the motor's."""
     whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
     return re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
 
@@ -152,7 +152,7 @@ class Chooser:
     left_out: Sequence[str] = ()  # columns that cannot be read, and why
 
     def places(self) -> Iterator[tuple[str, Column]]:
-        """Column by channel, without those that are asked for.
+        """Yield column by channel, without those that are asked for.
 
         Its unit is the config's, or empty where it has to be asked; its keys are all of
         ``[channels.…]``.
@@ -192,7 +192,7 @@ class Chooser:
         return column_names
 
     def _rivals(self) -> tuple[dict[str, list[str]], list[str]]:
-        """The columns that fit each channel best, and pressures of nobody in particular."""
+        """Return the columns that fit each channel best, and pressures of nobody in particular."""
         fitting: dict[str, list[tuple[int, str]]] = {}
         for name, signal in self.group.signals.items():
             meaning = meaning_of(signal, self.columns[name].unit)
@@ -218,7 +218,7 @@ class Chooser:
     def _ports(
         self, names: Sequence[str], column_names: Mapping[str, str | None]
     ) -> dict[str, str | None]:
-        """Channels of pressures of which the names do not say whose they are, the highest first."""
+        """Return channels of pressures whose names do not say which, the highest first."""
         high, low = PORT_PRESSURES
         columns = " and ".join(f"{name} (typically {self._size(name):.4g})" for name in names)
         why = f"the log does not say whose pressure {columns} is"
@@ -237,7 +237,7 @@ class Chooser:
         return {_DIFFERENCE: self._which(_DIFFERENCE, why, names)}
 
     def _which(self, channel: str, why: str, names: Sequence[str], more: str = "") -> str | None:
-        """The column of a channel that is answered; None: it is asked.
+        """Return the column of a channel that is answered; None: it is asked.
 
         Motors whose columns are called alike but for the motor take the answer of the first.
         """
@@ -252,7 +252,7 @@ class Chooser:
         return names[alike.index(answer)] if answer in alike else None
 
     def _size(self, name: str) -> float:
-        """Typical magnitude of a pressure, in bar where its unit is stated."""
+        """Return typical magnitude of a pressure, in bar where its unit is stated."""
         own = self.columns[name]
         sizes = [abs(number) for number in self._numbers(own)]
         unit = meaning_of(name, own.unit).unit
@@ -264,7 +264,7 @@ class Chooser:
         return [number for number in numbers if number is not None]
 
     def _unit_keys(self, channel: str, column: Column) -> dict[str, Any]:
-        """The unit of a column, and what else of its number is answered; empty where it is asked.
+        """Return unit of a column, and what else of its number is answered; empty if it is asked.
 
         An answer is for columns called alike whose readings are alike.
         """
@@ -308,7 +308,7 @@ class Chooser:
         return keys
 
     def _quality_keys(self, quality: Quality) -> dict[str, Any]:
-        """Keys of a channel's quality; none where it is not to be used."""
+        """Return keys of a channel's quality; none where it is not to be used."""
         codes: Sequence[str | int] = quality.good or ()
         key = f"good codes of {' '.join(quality.words)}"
         if not codes or key in self.asked.answers:

@@ -168,7 +168,7 @@ def _repeated(names: Sequence[str]) -> Cells:
 
 
 def _why_no_table(lines: Sequence[str], separator: str, width: int) -> str:
-    """What keeps lines from being names with rows of samples below."""
+    """Return what keeps lines from being names with rows of samples below."""
     first = next((line for line in lines if line.strip()), "")
     if first.count('"') % 2:
         how = "a name goes over several lines: have the header written on one"
@@ -182,7 +182,7 @@ def _why_no_table(lines: Sequence[str], separator: str, width: int) -> str:
 
 
 def _encoding(head: bytes) -> str:
-    """The first encoding in which the head makes sense, or that which makes most known words."""
+    """Return first encoding in which the head makes sense, or that which makes most known words."""
     if wide := wide_encoding(head):
         return wide
     if _decodes(head, "utf-8"):
@@ -209,7 +209,7 @@ def _words_known(head: bytes, encoding: str) -> int:
 
 
 def _text_lines(path: Path, encoding: str, most_bytes: int) -> Iterator[str]:
-    """Lines of the first bytes of a text, but for a line that is cut."""
+    """Yield lines of the first bytes of a text, but for a line that is cut."""
     done = 0
     for data in read_lines(path, encoding, min(most_bytes, 2**20)):
         if data.endswith((b"\n", b"\r")):
@@ -229,7 +229,7 @@ def _cells(line: str, separator: str) -> Cells:
 def _taken_apart(
     lines: Sequence[str], separator: str
 ) -> tuple[tuple[bool, float, int], list[Cells], int]:
-    """How well the cells between separators are a table, the cells, and the first row of samples.
+    """Return how well the cells between separators are a table, the cells and first row of samples.
 
     Is there a line above it that may have names, which share of cells are samples, and the width.
     """
@@ -260,7 +260,7 @@ def _holds_sample(cell: str) -> bool:
 
 
 def _header(above: Sequence[Cells], width: int) -> tuple[int, Cells] | None:
-    """The line that has the names, and the cells of a line of units below it; None: there is none.
+    """Return line that has the names, and the cells of a line of units below it; None without.
 
     They are above the rows of samples.
     """
@@ -281,7 +281,7 @@ def _header(above: Sequence[Cells], width: int) -> tuple[int, Cells] | None:
 
 
 def _units_among(rows: Iterable[Cells]) -> Cells:
-    """The line that has the most names of units."""
+    """Return the line that has the most names of units."""
     return max(rows, key=lambda cells: sum(map(bool, map(unit_named, cells))), default=())
 
 
@@ -310,7 +310,7 @@ def _parquet(path: Path) -> Table:
         raise LogError("log_empty", path, f"the file has no {what}")
 
     def rows(wanted: Sequence[str]) -> Rows:
-        """The first rows of each text in the first of the columns, piece by piece."""
+        """Yield the first rows of each text in the first of the columns, piece by piece."""
         for leaves in _leaves(path, 2**17, list(wanted)):
             frame = pl.DataFrame({field.name: pl.Series(values) for field, values in leaves})
             first = frame.select(wanted).group_by(wanted[0], maintain_order=True).head(SAMPLES)
@@ -321,7 +321,7 @@ def _parquet(path: Path) -> Table:
 
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
-    """Columns, and those within them by their paths, piece by piece; the last is empty."""
+    """Yield columns, and those within them by their paths, piece by piece; the last is empty."""
     with opened(path) as file:
         texts = text_paths(kinds_of(file))
     with opened(path, texts) as file:
@@ -352,7 +352,7 @@ def _unit_of(field: pa.Field) -> str:
 
 
 def _column(field: pa.Field, values: pa.Array) -> Column | None:
-    """A column of times, numbers, text or truth values; None for what is none of them."""
+    """Return a column of times, numbers, text or truth values; None for what is none of them."""
     kind, keys = values.type, {"source": field.name}
     if pa.types.is_timestamp(kind):
         # In the place of a unit: what the type says of the zone.
@@ -421,7 +421,7 @@ def _fields(topic: Topic, *, is_lone: bool) -> Iterator[Column]:
 
 
 def _quality_beside(topic: Topic, path: FieldPath) -> Quality | None:
-    """The quality of a field: a field beside it, or of the message."""
+    """Return the quality of a field: a field beside it, or of the message."""
     beside = {
         at: tuple(f"{number:.15g}" for number in _finite(topic.fields[at])) for at in topic.fields
     }
@@ -446,7 +446,7 @@ def _finite(numbers: Sequence[float]) -> list[float]:
 
 
 def _stamp_paths(topic: Topic) -> list[FieldPath]:
-    """Paths of the seconds of stamps that have nanoseconds beside them."""
+    """Return paths of the seconds of stamps that have nanoseconds beside them."""
     return [
         path
         for path in topic.fields
@@ -455,7 +455,7 @@ def _stamp_paths(topic: Topic) -> list[FieldPath]:
 
 
 def _stamp(topics: Sequence[Topic]) -> tuple[FieldPath, TimeFormats] | None:
-    """A stamp that all messages have, written alike."""
+    """Return a stamp that all messages have, written alike."""
     by_topic = [dict(_stamps_of(topic)) for topic in topics]
     stamps = by_topic[0].items() if by_topic else ()
     return next((stamp for stamp in stamps if all(stamp in own.items() for own in by_topic)), None)

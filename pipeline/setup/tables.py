@@ -141,13 +141,13 @@ _NOT_FINITE = re.compile(r"(?i)[+-]?(nan|inf|infinity)")
 
 
 def is_number(cell: str) -> bool:
-    """True if a cell is a number in some dialect."""
+    """Return True if a cell is a number in some dialect."""
     fits = any(number.fullmatch(cell) for number in _NUMBERS.values())
     return bool(cell) and (fits or bool(_NOT_FINITE.fullmatch(cell)))
 
 
 def marks_of(cells: Iterable[str]) -> Marks:
-    """Decimal mark and mark between thousands in which the most numbers can be read.
+    """Return decimal mark and mark between thousands in which the most numbers can be read.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def marks_of(cells: Iterable[str]) -> Marks:
 
 
 def as_number(cell: str, marks: Marks) -> float | None:
-    """A cell's number; None: it is none."""
+    """Return a cell's number; None: it is none."""
     plain = cell.replace(marks.thousands, "") if marks.thousands else cell
     try:
         return float(plain.replace(marks.decimal, "."))
@@ -178,7 +178,7 @@ def as_number(cell: str, marks: Marks) -> float | None:
 
 
 def kind_of(cells: Sequence[str]) -> str:
-    """Kind of most cells: stamp, date, clock, number, text or nothing."""
+    """Return kind of most cells: stamp, date, clock, number, text or nothing."""
     filled = [cell for cell in cells if cell not in MISSING_TOKENS][:SAMPLES]
     tests = (
         *(("stamp", is_stamp), ("number", is_number)),
@@ -191,7 +191,7 @@ def kind_of(cells: Sequence[str]) -> str:
 
 
 def is_time_name(name: str) -> bool:
-    """True if a column's name is that of a time.
+    """Return True if a column's name is that of a time.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def is_time_name(name: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """True if a cell is a whole time stamp, not a count."""
+    """Return True if a cell is a whole time stamp, not a count."""
     return bool(_ISO.fullmatch(cell) or _STAMP.fullmatch(cell))
 
 
@@ -229,7 +229,7 @@ def _marks(text: str) -> str:
 
 
 def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
-    """Stamps as the readers of logs have them, those apart that they cannot read.
+    """Return stamps as the readers of logs have them, those apart that they cannot read.
 
     Of two digits of a year, which they take for the whole of it, the year is none of a log.
     """
@@ -250,7 +250,7 @@ class TimeFormats:
 
 
 def time_formats(stamps: Sequence[str]) -> TimeFormats:
-    """Formats of time stamps in text, in the order of the log, none of them blank.
+    """Return formats of time stamps in text, in the order of the log, none of them blank.
 
     Examples
     --------
@@ -275,7 +275,7 @@ def time_formats(stamps: Sequence[str]) -> TimeFormats:
 
 
 def _misfit(times: Sequence[dt.datetime]) -> int:
-    """Stamps in the future, and steps of months: a log has neither."""
+    """Return stamps in the future, and steps of months: a log has neither."""
     seconds = [time_us.timestamp() for time_us in times]
     leaps = sum(abs(b - a) > _MONTH_S for a, b in pairwise(seconds))
     return leaps + sum(second > latest_us() / 1e6 for second in seconds)
@@ -294,7 +294,7 @@ def count_format(numbers: Sequence[float]) -> str | None:
 
 
 def timed(table: Table, path: Path, answer: str = "") -> Table:
-    """The table with its time found, and without the columns of times.
+    """Return the table with its time found, and without the columns of times.
 
     `answer` is the column of the time, if several may be. Raises LogError (``log_time``) if no
     column alone says the time.
@@ -356,19 +356,19 @@ def _is_half_of_day(column: Column) -> bool:
 
 
 def _is_arrival(column: Column) -> bool:
-    """True for the time at which something else than the sensor had a reading."""
+    """Return True for the time at which something else than the sensor had a reading."""
     return is_in(words_of(column.name), "column", "arrival")
 
 
 def _differ(column: Column, time: Column) -> bool:
-    """True for a column of times that may be that of the readings, as well as another."""
+    """Return True for a column of times that may be that of the readings, as well as another."""
     is_clock = not _is_arrival(column) and len(set(column.cells) - {""}) > 1
     pairs = zip(column.cells, time.cells, strict=True)
     return is_clock and any(cell != other for cell, other in pairs if cell and other)
 
 
 def _formats(table: Table, columns: Sequence[Column]) -> TimeFormats:
-    """Formats of stamps in a column, or in those of date and time."""
+    """Return formats of stamps in a column, or in those of date and time."""
     cells = zip(*(column.cells for column in columns), strict=True)
     stamps = [stamp for row in cells if is_stamp(stamp := " ".join(row))][:SAMPLES]
     formats = time_formats(stamps)
@@ -403,7 +403,7 @@ def set_formats(
     example: str = "",
     zone: str = "",
 ) -> None:
-    """Keys and questions of the time's format, and of its zone if the log states none."""
+    """Set keys and questions of the time's format, and of its zone if the log states none."""
     readings = formats.readings
     if not readings:
         text = f"how are its time stamps written ({example!r})? Day, hour and minute are needed"

@@ -116,7 +116,7 @@ def remove_leftovers(folder: Path, *, below: bool = False) -> None:
 
 @contextmanager
 def store_errors(path: Path, what: str = "written") -> Iterator[None]:
-    """Turn a failed system call into `StoreError`."""
+    """Return turn a failed system call into `StoreError`."""
     try:
         yield
     except OSError as error:

@@ -104,12 +104,12 @@ class Heartbeat:
             self.say(state=INTERRUPTED if interrupted else FAILED, error_code=code)
 
     def motor_done(self) -> None:
-        """Another motor is done, which the next beat tells."""
+        """Count another motor as done, which the next beat tells."""
         with self._changing:
             self._beat = replace(self._beat, n_motors_done=self._beat.n_motors_done + 1)
 
     def finished(self, *, interrupted: bool, good: bool) -> None:
-        """The run has ended; good if it went through all motors and no failure stands."""
+        """End the run; it is good if it went through all motors and no failure stands."""
         ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
         self.say(state=INTERRUPTED if interrupted else FINISHED, last_good_run=ended)
 

@@ -144,7 +144,7 @@ class ObjectStore:
 
     @contextmanager
     def _store_errors(self, key: str, what: str) -> Iterator[None]:
-        """Turn a failed request into `StoreError`."""
+        """Return turn a failed request into `StoreError`."""
         from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
         place = f"{self.url}/{key}"
@@ -170,7 +170,7 @@ class ObjectChangedError(Exception):
 
 
 def _require_http_allowed() -> None:
-    """Ask for the variable that Polars asks for, too."""
+    """Require the variable that Polars requires, too."""
     name = next((name for name in ENDPOINTS if name in os.environ), None)
     allowed = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on", "y", "t")
     if name and os.environ[name].startswith("http://") and not allowed:
@@ -227,7 +227,7 @@ def copy_output(url: str, output: Path) -> None:
 
 
 def _digests(manifest: bytes) -> Mapping[str, str]:
-    """SHA-256 by path below the output; none of a damaged manifest, which is then replaced."""
+    """Return SHA-256 by path below the output; none of a damaged manifest."""
     try:
         return {f"tables/{name}": str(sha) for name, sha in json.loads(manifest)["sha256"].items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):

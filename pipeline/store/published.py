@@ -77,7 +77,7 @@ def note(state: StateDatabase, files: Mapping[str, str | None]) -> None:
 
 
 def _stamp(output: Path, name: str) -> tuple[int, int]:
-    """Size and time of a file, which differ once it was written to; zeros where it is gone."""
+    """Return size and time of a file, which differ once it is written to; zeros: gone."""
     try:
         status = os.stat(f"{output}/tables/{name}")  # noqa: PTH116 - thousands in every run
     except OSError:
@@ -131,7 +131,7 @@ def _verify(state: StateDatabase, name: str) -> VerifiedFile:
 
 
 def _is_whole(path: Path, table: str, content: bytes) -> bool:
-    """True where the page checksums of a file prove it, and its nights are those of its name."""
+    """Return True where the page checksums of a file prove it and its nights are of its name."""
     try:
         rows = from_parquet(path, TABLE_OF[table], content)
     except StoreError as error:
@@ -162,7 +162,7 @@ def verify_files(state: StateDatabase, *, every_file: bool = False) -> Iterator[
 
 
 def _published_names(output: Path) -> Iterator[str]:
-    """Yield names of the files that are in places of tables."""
+    """Return names of the files that are in places of tables."""
     return (name_of(output, path) for table in TABLES for path in files_of(output, table))
 
 

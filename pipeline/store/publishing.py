@@ -99,7 +99,7 @@ def stage(path: Path, tables: Mapping[Table, StagedNights]) -> None:
 def staged_in(
     folder: Path, tables: Iterable[Table], motor_ids: Collection[str]
 ) -> Mapping[tuple[Table, str], Mapping[str, Staged]]:
-    """What some motors have staged, by table, name of the table file, and motor, in order."""
+    """Return what some motors have staged, by table, name of the table file and motor, in order."""
     named = {table.name: table for table in tables}
     staged: defaultdict[tuple[Table, str], dict[str, Staged]] = defaultdict(dict)
     paths = {motor_id: staged_file(folder, motor_id) for motor_id in sorted(motor_ids)}
@@ -123,7 +123,7 @@ def staged_file(folder: Path, motor_id: str) -> Path:
 def read_staged(
     table: Table, staged: Mapping[str, Staged], run_id: str
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Rows of motors for a table file, and the motors and nights of which they are all rows."""
+    """Return rows of motors for a table file, and motors and nights of which they are all rows."""
     # As a single chunk: Polars takes chunks over singly.
     rows = pl.from_arrow(pa.concat_tables(part.rows() for part in staged.values()).combine_chunks())
     assert isinstance(rows, pl.DataFrame)
@@ -261,7 +261,7 @@ def _new_file(path: Path, rows: pl.DataFrame, before: str | None) -> NewFile:
 def _with_rows(
     table: Table, rows: pl.DataFrame, present: pl.DataFrame, replaced: pl.DataFrame | None = None
 ) -> pl.DataFrame:
-    """Rows that are there with new ones, in place of those of the same key and of some others."""
+    """Return rows there with new ones, in place of those of the same key and of some others."""
     before, within, after = present.clear(), present, present.clear()
     if replaced is not None and "night" in table.key:
         # Other nights lie before and after them, and are neither copied nor sorted.

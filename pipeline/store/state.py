@@ -181,7 +181,7 @@ def read_state_file(output: Path) -> Iterator[StateDatabase]:
 
 
 def _reader(place: Path) -> sqlite3.Connection:
-    """A connection to a file; where nothing can be written beside it, it is taken to be at rest."""
+    """Return connection to a file; if nothing can be written beside it, at rest."""
     connection = sqlite3.connect(
         f"{place.as_uri()}?mode=rw", timeout=BUSY_S, isolation_level=None, uri=True
     )

@@ -150,7 +150,7 @@ def read_rows(
     columns: Sequence[str] = (),
     nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """The published rows of some motors in time order, of some nights or all, as `read_table`."""
+    """Return published rows of some motors in time order, of all nights or some."""
     empty = pl.DataFrame(schema=table.schema).select(columns or pl.all())
     wanted: dict[str, Collection[Any]] = {"motor_id": motor_ids}
     if nights is not None:
@@ -225,7 +225,7 @@ def _may_hold(file: pq.ParquetFile, place: int, name: str, values: Collection[An
 
 
 def _known_names(path: Path, table: Table, file: pq.ParquetFile) -> set[str]:
-    """Names of a file's columns; raises StoreError (``store_newer``) or ValueError for others."""
+    """Return names of a file's columns; raises StoreError (``store_newer``) or ValueError."""
     version = int((file.metadata.metadata or {}).get(VERSION_KEY.encode(), b"0"))
     if version > SCHEMA_VERSION:  # whose new columns would be lost
         why = f"{path.name} is of schema version {version}; update the program"

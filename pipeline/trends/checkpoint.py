@@ -75,7 +75,7 @@ class MotorCheckpoint:
     watch: StoredWatch | None
 
     def encoded(self) -> bytes:
-        """As bytes, which prove themselves when they are decoded."""
+        """Return it as bytes, which prove themselves when they are decoded."""
         watch = self.watch
         period = None if watch is None else [watch.period.isoformat(), watch.own, watch.day]
         arrays = {"records": self.records} | ({} if watch is None else dict(watch.arrays))

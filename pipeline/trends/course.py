@@ -248,7 +248,7 @@ class Course:
         return self.watch.leakage_at(drives, conditions)
 
     def drives_at(self, at: Conditions, place: int) -> Array | str:
-        """Flow a unit of each coefficient in a night; what else shapes it is the same for all."""
+        """Return flow a unit of each coefficient in a night; all else is the same for all."""
         night = self.nights.labels[place]
         key = self.spec.file.oil_on(night), at
         if key not in self.drives:

@@ -222,7 +222,7 @@ def latest_rows(output: Path, motor_ids: Sequence[str], gone: Sequence[str] = ()
 
 
 def in_state_before(row: Row, published: pl.DataFrame) -> Row:
-    """A night's own row in the state of its motor, given the rows published so far, in order."""
+    """Return night's own row in the state of its motor, given the published rows in order."""
     before = published.filter(pl.col("night") <= row["night"]).select(CARRIED)
     return row | (before.row(-1, named=True) if before.height else NO_TRENDS)
 

@@ -65,7 +65,7 @@ class Baseline:
 
     @classmethod
     def of(cls, watch: Watch, nights: Sequence[NightBlocks], charges: Array) -> Baseline:
-        """The baseline of some nights, after which a watch stands, and their charge pressures."""
+        """Return baseline of some nights, after which a watch stands and their charge pressures."""
         every = np.concatenate([night.conditions for night in nights])
         temperature, pressure, speed = np.median(every, axis=0).tolist()
         known = charges[np.isfinite(charges)]

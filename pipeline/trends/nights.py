@@ -179,7 +179,7 @@ class PublishedNights:
         return self.rows.get(night, {}).get("status") in (FAILED, INSUFFICIENT_DATA)
 
     def fitted_leakage(self, night: dt.date) -> Estimate | None:
-        """Leakage at the reference conditions by a night's own fit; None where it has none."""
+        """Return leakage at the reference conditions by a night's own fit; None if it has none."""
         fit = self.fits.get(night, {})
         upper = fit.get("fitted_leakage_upper")
         if upper is None or fit["fitted_leakage_verdict"] not in WITH_VALUE:
@@ -246,7 +246,7 @@ def _set_beginnings(circuit: Sequence[PublishedNights]) -> None:
 def read_blocks(
     output: Path, spec: MotorSpec, watch_columns: WatchColumns, nights: Collection[dt.date]
 ) -> list[NightBlocks]:
-    """Blocks of some of a motor's nights, in order of time, without those that do not count."""
+    """Return blocks of some of a motor's nights, in time order, without those that do not count."""
     rows = read_rows(output, BLOCKS, [spec.motor_id], BLOCK_COLUMNS, nights=nights)
     parts = rows.sort("night").partition_by("night", maintain_order=True)
     blocks = (_night_blocks(watch_columns, watch_columns.blocks(spec, part)) for part in parts)

@@ -323,7 +323,7 @@ def _zero(nights: PublishedNights, name: str) -> Zero:
 
 
 def _held(drifts: NDArray[np.bool_], halted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Nights with a drift reported: some with a halt in a row begin and end it, others hold."""
+    """Return nights with a drift reported: several with a halt in a row begin and end it."""
     reported = np.zeros(len(drifts), dtype=np.bool_)
     is_on, in_a_row = False, 0
     for place in range(len(drifts)):

@@ -83,7 +83,7 @@ class WatchColumns:
         return Machine(self.watched, self.gaps, (at_40, at_100))
 
     def blocks(self, spec: MotorSpec, rows: pl.DataFrame) -> StoredBlocks | None:
-        """Blocks of a night's rows, in their columns; None where they are of another model."""
+        """Return blocks of a night's rows, in their columns; None if they are of another model."""
         # As stored, the cam rollers are in the known flow.
         rollers = None if self.standard is None else self.standard[0]
         columns = tuple(name for place, name in enumerate(self.columns) if place != rollers)
@@ -93,7 +93,7 @@ class WatchColumns:
         return replace(stored, factors=with_free_known(stored.factors, *self.standard))
 
     def night_blocks(self, stored: StoredBlocks) -> NightBlocks:
-        """Block means of a night, with the oil as measured and without the stated flushing."""
+        """Return block means of a night, by the oil as measured, without the stated flushing."""
         factors = stored.factors
         # The column of ones times all columns: R'R of it.
         sums = np.einsum("bij,bi->bj", factors, factors[:, :, -3])

@@ -94,7 +94,7 @@ TASKS_IN_FLIGHT = 256
 
 @contextmanager
 def open_workers(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[Workers]:
-    """The configured workers, for all tasks of a run.
+    """Open the configured workers, for all tasks of a run.
 
     `folders` are what those of a cluster must see: logs and output. Raises EngineError if there are
     none: see `open_cluster`.
@@ -156,7 +156,7 @@ class Workers:
 
 @contextmanager
 def open_pool(execution: Execution) -> Iterator[Pool]:
-    """Worker processes for all tasks of a run, started when there are tasks for them."""
+    """Open worker processes for all tasks of a run, started when there are tasks for them."""
     before = dict(os.environ)
     # Tunables of the C library are added to those that are set.
     tunables = ":".join(filter(None, (os.environ.get("GLIBC_TUNABLES"), HUGE_PAGES)))
@@ -191,7 +191,7 @@ class Pool:
     def tried(
         self, function: Callable[[Any], Any], tasks: Iterable[Any]
     ) -> Iterator[tuple[Any, Any]]:
-        """Each task with what came of it, as they finish; never more than workers under way."""
+        """Yield each task with what came of it, as they finish; at most a worker each."""
         waiting: Iterator[tuple[int, Any]] = enumerate(tasks)
         under_way: dict[int, Any] = {}
 
@@ -232,7 +232,7 @@ class Pool:
             waiting, under_way = chain(list(under_way.items()), waiting), {}
 
     def _loss(self, error: str) -> tuple[set[int], Loss]:
-        """Numbers of the tasks that a dead pool had begun; their loss, by a mark and last words."""
+        """Return tasks that a dead pool had begun, and their loss by a mark and last words."""
         marks = {mark.number: mark for _, mark in self._marks() if mark.number >= 0}
         mark = next(iter(marks.values()), Mark())
         words = "".join(path.read_text("utf-8", "replace") for path in self.folder.glob("*.words"))
@@ -274,7 +274,7 @@ class Pool:
 
 @contextmanager
 def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Tried]:
-    """The way to try tasks on the configured cluster, once that is fit for the run.
+    """Open the way to try tasks on the configured cluster, once that is fit for the run.
 
     Raises EngineError: ``dask_missing``: the extra is not installed; ``scheduler_unreachable``:
     nothing answers at the address, or it has no worker; ``scheduler_unfit``: it cannot read tasks,
@@ -329,7 +329,7 @@ def differences(expected: Mapping[str, str], folders: Sequence[Path] = ()) -> st
 
 
 def own_versions() -> Mapping[str, str]:
-    """Versions of this process: Python, packages, and a hash of the code that it has loaded."""
+    """Return versions of this process: Python, packages and a hash of the loaded code."""
     versions = {name: version(name) for name in PACKAGES}
     return {"python": platform.python_version(), CODE: _code_hash(), **versions}
 
@@ -351,7 +351,7 @@ def _code_hash() -> str:
 def do_on_worker(
     function: Callable[[Any], Any], task: Any, limits: Execution, expected: Mapping[str, str]
 ) -> tuple[Any, dict[str, bytes]]:
-    """What came of a task, and what it has staged: contents by path below its staging folder."""
+    """Return what came of a task and what it has staged: contents by path below its staging."""
     if words := differences(expected):  # it joined later
         return Loss("scheduler_unfit", f"its worker is unfit: {words}; {REMEDY}"), {}
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
@@ -414,7 +414,7 @@ def _next(client: Client, ended: SimpleQueue[Future[Any]], wait_s: float) -> Fut
 
 
 def _outcome(client: Client, future: Future[Any], task: Any) -> Any:
-    """Result or loss of a task that has ended; its staged files are put where they belong."""
+    """Return result or loss of a task that has ended; put its staged files into place."""
     from distributed import KilledWorker
 
     try:

@@ -178,7 +178,7 @@ def _words() -> str:
 
 @cache
 def _thread_pools() -> ThreadpoolController:
-    """Those that the process has loaded at the first call: to look takes longer than to limit."""
+    """Return those loaded at the first call: to look takes longer than to limit."""
     return ThreadpoolController()
 
 

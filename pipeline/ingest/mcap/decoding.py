@@ -62,13 +62,13 @@ class Payloads:
         return self.text[1:][: self.length[0]].tobytes()
 
     def each(self) -> Iterator[bytes]:
-        """The payloads in turn."""
+        """Yield the payloads in turn."""
         text = self.text.data
         for start, length in zip(self.start.tolist(), self.length.tolist(), strict=True):
             yield bytes(text[start : start + length])
 
     def by_length(self) -> Iterator[tuple[NDArray[np.intp], int, memoryview]]:
-        """Rows of messages of equal length, that length, their text: a byte and a payload each."""
+        """Yield rows of messages of equal length, the length, and a byte and payload each."""
         if (self.length == self.length[0]).all():
             yield np.arange(self.length.size), int(self.length[0]), self.text.data
             return
@@ -99,7 +99,7 @@ Value = Callable[[Any], Any]
 
 
 def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -> Payloads:
-    """Payloads of the chosen messages, one at least, with the times of all messages."""
+    """Return payloads of the chosen messages, one at least, with the times of all messages."""
     starts, ends = messages.payload_start(chosen), messages.payload_end[chosen]
     length = ends - starts
     if (length == length[0]).all():
@@ -117,7 +117,7 @@ def payloads_of(messages: Messages, chosen: Rows, time_ns: NDArray[np.uint64]) -
 
 
 def stacked(parts: Sequence[Payloads]) -> Payloads:
-    """Payloads in turn."""
+    """Return payloads in turn."""
     arrays = zip(*((part.text, part.length, part.time_ns) for part in parts), strict=True)
     return Payloads(*map(np.concatenate, arrays))
 
@@ -125,7 +125,7 @@ def stacked(parts: Sequence[Payloads]) -> Payloads:
 def one_by_one(
     messages: Sequence[Any], wanted: Wanted, values: Mapping[FieldPath, Value], example: str
 ) -> Decoded:
-    """What is wanted of messages, None for each that is none; `example` is one of these in words.
+    """Return what is wanted of messages, None for what is none; `example` is a message in words.
 
     `values` are the functions of a message by path.
     """
@@ -164,7 +164,7 @@ def no_field(path: Path, topic: str, field: FieldPath, there: Iterable[str]) -> 
 
 
 def number_of(value: object) -> float | None:
-    """A number as a float; None for what is none."""
+    """Return a number as a float; None for what is none."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -179,7 +179,7 @@ def _word(value: object) -> str | None:
 
 
 def stamps_of(values: Sequence[Any], time_format: str) -> WrittenStamps:
-    """Stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
+    """Return stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
     is_counted = time_format in (*EPOCH_UNITS, EXCEL_DAYS)
     texts = pa.array([_stamp_text(value, is_counted) for value in values], pa.string())
     stamps = written([pa.chunked_array([texts])], time_format)
@@ -206,28 +206,28 @@ Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 def _int64(values: Sequence[Any]) -> Numbers:
-    """Whole numbers, 0 where there is none, and where there are any."""
+    """Return whole numbers, 0 where there is none, and where there are any."""
     there = [type(value) is int and _INT64.min <= value <= _INT64.max for value in values]
     whole = [value if ok else 0 for value, ok in zip(values, there, strict=True)]
     return np.array(whole, np.int64), np.array(there, np.bool_)
 
 
 def pair_of(names: Container[str]) -> tuple[str, str] | None:
-    """Those names of some that are of the seconds and nanoseconds of a stamp."""
+    """Return those names of some that are of the seconds and nanoseconds of a stamp."""
     seconds = next((name for name in SECONDS if name in names), None)
     nanoseconds = next((name for name in NANOSECONDS if name in names), None)
     return (seconds, nanoseconds) if seconds and nanoseconds else None
 
 
 def stamps_of_numbers(parts: Sequence[Numbers], time_format: str) -> WrittenStamps:
-    """Stamps of a number each, or of whole seconds and nanoseconds."""
+    """Return stamps of a number each, or of whole seconds and nanoseconds."""
     return (
         stamps_of_pairs(*parts) if len(parts) > 1 else written_as_numbers(parts[0][0], time_format)
     )
 
 
 def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
-    """Stamps of whole seconds since 1970, UTC, and nanoseconds, cut off to microseconds."""
+    """Return stamps of whole seconds since 1970, UTC, and nanoseconds, cut off to microseconds."""
     (whole, there), (rest, also) = seconds, nanoseconds
     sound = there & also & (whole >= 0) & (whole < LATEST_US // 1_000_000)
     sound &= (rest >= 0) & (rest < 1_000_000_000)
@@ -237,7 +237,7 @@ def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
 
 
 def value_at(node: Any, path: FieldPath) -> Any:
-    """The value that a path leads to in a tree; None where it leads nowhere."""
+    """Return the value that a path leads to in a tree; None where it leads nowhere."""
     for step in path:
         if not _leads(node, step):
             return None
@@ -246,7 +246,7 @@ def value_at(node: Any, path: FieldPath) -> Any:
 
 
 def has(node: Any, path: FieldPath) -> bool:
-    """True if a path leads to something, be it null, or is cut short by a null."""
+    """Return True if a path leads to something, be it null, or is cut short by a null."""
     for step in path:
         if not _leads(node, step):
             return node is None
@@ -255,14 +255,14 @@ def has(node: Any, path: FieldPath) -> bool:
 
 
 def _leads(node: object, step: str | int) -> bool:
-    """True for a dict with such a key, or a list with such a position."""
+    """Return True for a dict with such a key, or a list with such a position."""
     if isinstance(step, str):
         return isinstance(node, dict) and step in node
     return isinstance(node, list) and step < len(node)
 
 
 def leaves(node: Any, path: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Values that are neither dicts nor lists, by path; of a list the first ones."""
+    """Yield values that are neither dicts nor lists, by path; of a list the first ones."""
     below: Sequence[tuple[Any, Any]] = ()
     if isinstance(node, dict):
         below = list(node.items())

@@ -47,7 +47,7 @@ _Tree = dict[str | int, Any]
 
 
 def json_decoder(wanted: Wanted) -> Decoder:
-    """Decoder of JSON messages; a quality may be text, a number or a truth value.
+    """Return decoder of JSON messages; a quality may be text, a number or a truth value.
 
     A stamp is a number or text in a format, or an object of seconds and nanoseconds.
     """
@@ -80,7 +80,7 @@ def json_decoder(wanted: Wanted) -> Decoder:
 
 
 def _at_once(payloads: Payloads, wanted: Wanted) -> Decoded | None:
-    """Readings; None unless every line is an object and every wanted value of its type or null."""
+    """Return readings; None unless each line is an object with values of their types or null."""
     first = json_object(payloads.first) if wanted.stamp or wanted.qualities else None
     stamp_types = _stamp_types(first, wanted)
     # A stamp may be a reading too, but not where it is text.
@@ -101,7 +101,7 @@ def _at_once(payloads: Payloads, wanted: Wanted) -> Decoded | None:
 
 
 def _stamp_types(first: Any, wanted: Wanted) -> dict[FieldPath, pa.DataType] | None:
-    """Types of the stamp's parts, by path, as the first message has it; None: no type is known."""
+    """Return types of the stamp's parts, by path, by the first message; None where unknown."""
     if wanted.stamp is None:
         return {}
     stamp = value_at(first, wanted.stamp)
@@ -146,7 +146,7 @@ def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Tab
 
 
 def _schema(types: Mapping[FieldPath, pa.DataType]) -> pa.Schema | None:
-    """Arrow's schema of the wanted fields; None where any is in an array, or part of another."""
+    """Return Arrow's schema of the wanted fields; None if any is in an array or another."""
     tree: _Tree = {}
     for path, kind in types.items():
         node = tree
@@ -182,7 +182,7 @@ def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
 
 
 def json_object(payload: bytes) -> dict[str, Any] | None:
-    """The object that a message is; None: it is none."""
+    """Return the object that a message is; None: it is none."""
     try:
         message = json.loads(payload)
     except (ValueError, RecursionError):
@@ -194,7 +194,7 @@ def json_object(payload: bytes) -> dict[str, Any] | None:
 
 
 def _one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray[np.float64] | None:
-    """The wanted number of each message; None unless all else is in all of them the same.
+    """Return the wanted number of each message; None unless all else is in all of them the same.
 
     `value` is what the `json` module finds in a message. Where it finds two other numbers that are
     put in the place of the first message's, it would find any.
@@ -223,7 +223,7 @@ def _one_number(payloads: Payloads, value: Callable[[bytes], object]) -> NDArray
 
 
 def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[bytes, bytes] | None:
-    """Text before and behind the wanted number of a message."""
+    """Return text before and behind the wanted number of a message."""
     if len(first) > _LONGEST:
         return None
     for match in islice(_NUMBER.finditer(first), _MOST_NUMBERS):
@@ -234,13 +234,13 @@ def _around_number(first: bytes, value: Callable[[bytes], object]) -> tuple[byte
 
 
 def _stand(text: memoryview, at: int, expected: bytes, size: int) -> bool:
-    """True if the very bytes stand at a place in each row of a size."""
+    """Return True if the very bytes stand at a place in each row of a size."""
     actual = column(text, at, f"V{len(expected)}", size).tobytes()
     return actual == expected * (len(text) // size)
 
 
 def _decimals(cells: NDArray[np.uint8], width: int) -> NDArray[np.float64] | None:
-    """Numbers in cells of a width, the first byte of each aside; None where some is none of JSON.
+    """Return numbers in cells of a width, the first byte of each aside; None if any is not JSON.
 
     Arrow's cast refuses what is no number. JSON has no plus here, no point without a digit on
     either side, and no zero before the digits of a number; exponents are left to the parser.

@@ -100,7 +100,7 @@ def _time_of_record(logs: Logs) -> str:
 
 
 def decoder_of(path: Path, topic: str, encoding: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic.
+    """Return decoder of the messages of a topic.
 
     Raises LogError: ``log_encoding``: messages in this encoding are not read; and as each decoder.
     """
@@ -217,13 +217,13 @@ class _Topic:
             raise no_field(self.path, self.name, lost[0], there)
 
     def raw_channels(self, stamps: TimeStamps) -> dict[str, RawChannel]:
-        """Its channels at these stamps; the readings are given up."""
+        """Return its channels at these stamps; the readings are given up."""
         rows = chosen_rows(stamps.readable)
         return self.rows.channels_at(dict.fromkeys(self.channels, (rows, stamps.time_us[rows])))
 
 
 def _has_any(decoded: Decoded, path: FieldPath) -> bool:
-    """True if a message has a value in a field."""
+    """Return True if a message has a value in a field."""
     field, quality = decoded.fields.get(path), decoded.qualities.get(path)
     if field is not None and (field.unparsed | ~field.missing).any():
         return True
@@ -254,7 +254,7 @@ class Topic:
 
 
 def read_topics(path: Path) -> list[Topic]:
-    """All topics of a file, by name, those without a message too.
+    """Return all topics of a file, by name, those without a message too.
 
     No more is read than is needed to see each topic.
     """
@@ -312,7 +312,7 @@ def _metadata_units(channel: Channel) -> Iterator[tuple[FieldPath, str]]:
 
 
 def _schema_units(schema: Schema) -> Iterator[tuple[FieldPath, str]]:
-    """Units of fields: of a JSON schema by their own key, of ROS 2 in a remark."""
+    """Yield units of fields: of a JSON schema by their own key, of ROS 2 in a remark."""
     yield from _json_texts(schema, UNIT_KEYS)
     if schema.encoding == "ros2msg":
         text = schema.data.decode(errors="replace")

@@ -110,7 +110,7 @@ class Summary(NamedTuple):
 
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
-    """Begins of the records that lie whole in a buffer, and the end of the last of them."""
+    """Return where records that lie whole in a buffer begin, and the end of the last of them."""
     offsets: list[int] = []
     # The only loop over single messages: what it needs is looked up once.
     append, unpack, size = offsets.append, PREFIX.unpack_from, len(buffer)
@@ -126,7 +126,7 @@ def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
 
 
 def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
-    """Numbers of a type at any positions, aligned or not."""
+    """Return numbers of a type at any positions, aligned or not."""
     kind = np.dtype(dtype)
     if not at.size:
         return np.empty(0, kind)
@@ -141,13 +141,13 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
 
 
 def column(buffer: memoryview, at: int, dtype: str, size: int) -> NDArray[Any]:
-    """Numbers of a type at a place in each of the rows of `size` bytes that fill a buffer."""
+    """Return numbers of a type at a place in each row of `size` bytes in a buffer."""
     rows = (len(buffer) // size,)
     return np.ndarray(rows, dtype, buffer, at, strides=(size,)).copy()
 
 
 def read_summary(path: Path) -> Summary:
-    """Footer and summary section of a file."""
+    """Return footer and summary section of a file."""
     with path.open("rb") as file:
         return _summary(path, file)
 
@@ -207,22 +207,22 @@ class Messages:
     read_to: int  # position in the file up to which it has been read
 
     def rows_of(self, topic: str) -> NDArray[np.intp]:
-        """Rows of the messages of a topic, which several channels may have."""
+        """Return rows of the messages of a topic, which several channels may have."""
         own = [
             self.channel_id == i for i, channel in self.channels.items() if channel.topic == topic
         ]
         return np.flatnonzero(reduce(np.logical_or, own)) if own else np.empty(0, np.intp)
 
     def payload_start(self, chosen: Rows) -> NDArray[np.int64]:
-        """Begins of some payloads in the buffer."""
+        """Return where some payloads begin in the buffer."""
         return np.asarray(self.start[chosen] + _MESSAGE_HEAD)
 
     def payload(self, i: int) -> bytes:
-        """The payload at a place."""
+        """Return the payload at a place."""
         return bytes(self.buffer[self.start[i] + _MESSAGE_HEAD : self.payload_end[i]])
 
     def times(self, name: str) -> NDArray[np.uint64]:
-        """Their ``log_time`` or ``publish_time`` [ns]."""
+        """Return their ``log_time`` or ``publish_time`` [ns]."""
         return fields_at(self.buffer, self.start + _TIMES[name], "<u8")
 
 
@@ -271,7 +271,7 @@ def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64
 
 
 def _data_section(path: Path, file: BinaryIO, end: int, declared: Declared) -> Iterator[Messages]:
-    """Messages of the data section, the last record of which has to be its end record."""
+    """Yield messages of the data section, the last record of which has to be its end record."""
     checksum, place, is_whole = zlib.crc32(MAGIC), len(MAGIC), False
     for block, offsets in _blocks(path, file, end):
         opcodes = np.frombuffer(block, np.uint8)[offsets]
@@ -298,7 +298,7 @@ def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None
 
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
-    """Stretches of whole records, some megabytes or a record long, and where records begin."""
+    """Yield stretches of whole records, some megabytes or a record long and where records begin."""
     place, size = len(MAGIC), _BLOCK
     while place < end:
         file.seek(place)
@@ -319,7 +319,7 @@ def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, 
 
 
 def _record_size(path: Path, begin: memoryview, left: int) -> int:
-    """Size of a record by its begin, or of its head where that is cut."""
+    """Return size of a record by its begin, or of its head where that is cut."""
     if len(begin) < PREFIX.size:
         return PREFIX.size
     _, length = PREFIX.unpack_from(begin)
@@ -337,7 +337,7 @@ def _messages_of_block(
     declared: Declared,
     place: int,
 ) -> Iterator[Messages]:
-    """Messages that stand bare, and those of chunks, in the order of the file."""
+    """Yield messages that stand bare, and those of chunks, in the order of the file."""
     opcodes = np.frombuffer(block, np.uint8)[offsets]
     chunks = np.flatnonzero(opcodes == CHUNK).tolist()
     stops = [*offsets[1:].tolist(), len(block)]
@@ -368,7 +368,7 @@ def _messages(
     declared: Declared,
     read_to: int,
 ) -> Messages:
-    """The messages among records, whose channels are added to those known so far."""
+    """Return the messages among records, whose channels are added to those known so far."""
     opcodes = np.frombuffer(buffer, np.uint8)[starts]
     ends = np.append(starts[1:], end)[: starts.size]
     for i in np.flatnonzero((opcodes == CHANNEL) | (opcodes == SCHEMA)).tolist():
@@ -390,7 +390,7 @@ def _messages(
 
 
 def _unpacked_chunk(path: Path, content: memoryview, where: str) -> memoryview:
-    """The records of a chunk record's content; `where` it lies is for messages."""
+    """Return the records of a chunk record's content; `where` it lies is for messages."""
     try:
         _, _, size, checksum, name_length = _CHUNK_HEAD.unpack_from(content)
         data_start = _CHUNK_HEAD.size + name_length + 8
@@ -429,7 +429,7 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
 
 
 def _indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
-    """Begins of messages in a chunk, in ascending order, as its message index records say."""
+    """Return where messages in a chunk begin, in ascending order, as its index records say."""
     parts = [np.empty(0, "<u8")]
     for index in indexes:
         numbers = max(len(index) - _INDEX_PREFIX, 0) // 16 * 2
@@ -442,7 +442,7 @@ def _indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
 def offsets_in_chunk(
     records: memoryview, positions: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], int]:
-    """Begins of the records of a chunk, and the end of the last of them.
+    """Return where the records of a chunk begin, and the end of the last of them.
 
     All but the first records may begin at the positions, which are in ascending order and believed
     only where each step, taken from the chunk's begin, leads from a record to the next.

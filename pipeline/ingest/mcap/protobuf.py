@@ -31,7 +31,7 @@ _BROKEN = "a message that is not as its descriptor says"
 
 
 def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic.
+    """Return decoder of the messages of a topic.
 
     Raises LogError: ``log_extra_missing``; ``log_damaged`` for descriptors that are none;
     ``log_column_missing`` for a field that is not in them.
@@ -65,7 +65,7 @@ def protobuf_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> 
 
 
 def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
-    """Class of a schema's messages, and what it raises on what is none."""
+    """Return class of a schema's messages, and what it raises on what is none."""
     try:
         from google.protobuf.message import DecodeError
         from mcap.exceptions import McapError
@@ -88,7 +88,7 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
 
 
 def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> Iterator[str]:
-    """Paths of numbers, for an error; a message may hold itself."""
+    """Yield paths of numbers, for an error; a message may hold itself."""
     for field in descriptor.fields:
         inner, is_text = field.message_type, field.cpp_type == field.CPPTYPE_STRING
         path = (*above, field.name, *((0,) if _is_repeated(field) else ()))
@@ -99,7 +99,7 @@ def _names(descriptor: Any, above: FieldPath, around: tuple[str, ...] = ()) -> I
 
 
 def _value(descriptor: Any, path: FieldPath, *, stamp: bool) -> Value:
-    """Function of a message that gives what a path leads to; only a stamp may be a message."""
+    """Return what gives a message's value at a path; only a stamp may be a message."""
     field = descriptor.fields_by_name[path[0]]
     get, inner, rest = _getter(field), field.message_type, path[1:]
     if inner is not None and _is_map(inner):
@@ -130,7 +130,7 @@ def _then(first: Value, second: Value) -> Value:
 
 
 def _element(step: str | int) -> Value:
-    """Function of a repeated field that gives a value of it."""
+    """Return function of a repeated field that gives a value of it."""
     if isinstance(step, int):
         return lambda values: values[step] if step < len(values) else None
     raise LookupError(step)
@@ -147,7 +147,7 @@ def _is_repeated(field: Any) -> bool:
 
 
 def _tree(node: Any) -> Any:
-    """A value as dicts, lists and plain values; a map as nothing."""
+    """Return a value as dicts, lists and plain values; a map as nothing."""
     if hasattr(node, "DESCRIPTOR"):
         return {field.name: _tree(_getter(field)(node)) for field in node.DESCRIPTOR.fields}
     if hasattr(node, "items"):

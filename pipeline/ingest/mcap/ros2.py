@@ -61,7 +61,7 @@ MOST_READ = 2**18
 
 
 def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Decoder:
-    """Decoder of the messages of a topic.
+    """Return decoder of the messages of a topic.
 
     Raises LogError: ``log_damaged`` for a definition that is none, ``log_encoding`` for a type that
     is not read, ``log_column_missing`` or ``log_type`` for a field that is not in it or no number,
@@ -116,7 +116,7 @@ def _require_plain(path: Path, topic: str, payloads: Payloads) -> None:
 
 
 def _definitions(path: Path, topic: str, schema: Schema) -> dict[str, MessageSpecification]:
-    """Definitions of a message and of those that it is made of, by ``package/Name``."""
+    """Return definitions of a message and of those that it is made of, by ``package/Name``."""
     # rosbag2 puts a service's own definition there, or the package refuses the name.
     if re.search(rb"^(SRV:|---)", schema.data, re.MULTILINE) or "/srv/" in schema.name:
         how = f"messages of topic {topic!r} are events of a service, which are not read"
@@ -155,7 +155,7 @@ def _require_number(path: Path, topic: str, sample: Any, wanted: FieldPath) -> N
 
 
 def _stamp_parts(sample: Any, stamp: FieldPath | None) -> tuple[FieldPath, ...]:
-    """Where a stamp's number stands, or its seconds and nanoseconds."""
+    """Return where a stamp's number stands, or its seconds and nanoseconds."""
     if stamp is None:
         return ()
     value = value_at(sample, stamp)
@@ -289,7 +289,7 @@ def _filled(node: Any, payload: bytes) -> Any:
 def _at_once(
     payloads: Payloads, layout: _Layout, paths: Sequence[FieldPath]
 ) -> dict[FieldPath, NDArray[Any]] | None:
-    """Numbers at some paths; None unless messages have few layouts, and each has all the numbers.
+    """Return numbers at some paths; None if layouts are many, or any lacks a number.
 
     They keep their type: those of a stamp have more digits than a float64.
     """
