@@ -91,8 +91,6 @@ class Channel(Section):
     """Averaging period of a sample; needed for `mean`."""
     volume_per_count_cm3: Positive | None = None
     """`count`, `pulses`: volume of each; 1000 for a counter of litres."""
-    counter_rolls_over_at: Positive | None = None
-    """Counts after which a running total begins anew."""
     time_offset_s: float = Field(0.0, ge=-600.0, le=600.0)
     """Added to the channel's time stamps; minus half of `mean_of_s` where a mean is stamped at the
     end of its period."""
@@ -136,8 +134,6 @@ class Channel(Section):
             yield self.at("earlier_units", "expected none beside counts")
         if self.is_counted and self.sampling == "mean":
             yield self.at("unit", 'expected no counts beside sampling = "mean"')
-        if self.counter_rolls_over_at is not None and self.unit != TOTAL:
-            yield self.at("counter_rolls_over_at", f'expected unit = "{TOTAL}" beside it')
 
     @property
     def is_counted(self) -> bool:

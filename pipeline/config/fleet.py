@@ -93,7 +93,7 @@ class MotorSpec:
             motor_type=self.motor_type.motor_type,
             paths=(*self.motor_type.paths(), self.file.flushing.path(flushing_mode)),
             oil=oil.oil(),
-            film_pressure=FilmPressure(model.film_pressure, model.film_pressure_share),
+            film_pressure=FilmPressure(model.film_pressure),
         )
         return motor.with_free_standard() if self.roller_is_free else motor
 

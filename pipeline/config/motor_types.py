@@ -24,6 +24,8 @@ BAR = 1e5
 Walther = tuple[float, float]
 # A viscosity further from the data sheet, by this factor, is a slip or another oil.
 FURTHEST = 3.0
+# A curve from a simulation that is off by more is that of another part.
+MOST_SCALE = 10.0
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Source = Annotated[str, Field(min_length=1)]
@@ -68,15 +70,6 @@ class Eccentricity(Unknown):
     maximum: float = Field(1.0, le=1)
 
 
-class Scale(Unknown):
-    """Factor on a curve; fixed at 1 unless freed."""
-
-    value: float = 1.0
-    minimum: NonNegative = 0.0
-    maximum: Positive = 10.0
-    fixed: bool = True
-
-
 class PathSection(Section):
     """A `[[path]]` table: base of the models, a model for each law."""
 
@@ -88,6 +81,8 @@ class PathSection(Section):
     """The path's law."""
     source: Annotated[Source, Stage.FIGURES]
     """Document behind the values, or `placeholder` for a guess."""
+    count: Annotated[int, Stage.SCALE] = Field(ge=1)
+    """Interfaces at high pressure at any time."""
 
     def path(self) -> Law:
         """Return path as the physics knows it; raises ValueError for numbers that it refuses."""
@@ -103,8 +98,6 @@ class AnnularGapPath(PathSection):
     """`annular_gap`: laminar flow through an annular gap, with deformation and eccentricity."""
 
     law: Literal["annular_gap"]
-    count: Annotated[int, Stage.SCALE] = Field(ge=1)
-    """Interfaces at high pressure at any time."""
     radius_mm: Annotated[Positive, Stage.SCALE]
     """Radius of the gap."""
     length_mm: Annotated[Positive, Stage.SCALE]
@@ -152,8 +145,6 @@ class SpeedCurvePath(PathSection):
     """`speed_curve`: a curve over the speed from a simulation, scaled by pressure and viscosity."""
 
     law: Literal["speed_curve"]
-    count: int = Field(ge=1)
-    """Interfaces at high pressure at any time."""
     coefficients: tuple[float, ...] | None = Field(None, min_length=1)
     """Coefficients, highest power first, l/min over rpm."""
     speed_range_rpm: tuple[float, float] | None = None
@@ -166,8 +157,6 @@ class SpeedCurvePath(PathSection):
     """Viscosity of the simulation."""
     curve_tolerance_percent: Annotated[NonNegative, Stage.FIGURES] = 0.0
     """Tolerance of the curve's level."""
-    scale: Scale = left_out()
-    """Factor on the curve."""
 
     def misfits(self) -> Iterator[Misfit]:
         given = self.coefficients is not None and self.speed_range_rpm is not None
@@ -187,7 +176,8 @@ class SpeedCurvePath(PathSection):
             speed_maximum_rpm=speed_range[1],
             reference_pressure_pa=self.reference_pressure_bar * BAR,
             reference_viscosity_pa_s=self.reference_viscosity_mpa_s * 1e-3,
-            scale=self.scale.parameter(f"scale_{self.name}", "1"),
+            # The motor's own nights decide whether it is free.
+            scale=Parameter(f"scale_{self.name}", "1", 1.0, 0.0, MOST_SCALE, fixed=True),
             curve_tolerance=self.curve_tolerance_percent / 100,
         )
 
@@ -196,8 +186,6 @@ class LaminarPath(PathSection):
     """`laminar`: flow in proportion to pressure difference over viscosity."""
 
     law: Literal["laminar"]
-    count: Annotated[int, Stage.SCALE] = Field(ge=1)
-    """Interfaces at high pressure at any time."""
     coefficient_m3: Unknown
     """Loss factor of an interface, m³."""
 

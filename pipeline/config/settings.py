@@ -121,9 +121,7 @@ class Model(Section):
     shapes = Stage.BLOCKS
 
     film_pressure: Literal["thesis", "slot"] = "thesis"
-    """Barus viscosity at a share of the pressure (`thesis`) or exact slot flow (`slot`)."""
-    film_pressure_share: NonNegative = Field(1.0, le=1)
-    """`thesis`: share of the pressure difference in the film."""
+    """Barus viscosity at the pressure difference (`thesis`) or exact slot flow (`slot`)."""
     two_sided: bool | None = None
     """Paths leak from both sides; by default where the low pressure is known by a channel, be it a
     constant."""

@@ -68,10 +68,9 @@ class ChannelRules:
     mean_us: float = 0.0  # period of which a sample is the mean; 0: a reading
     shift_us: int = 0  # from the stamp as logged to the time at which the sample holds
     # Unit of a running total, or of counts since the sample before; None for a flow. Volume of a
-    # count, and the count after which a running total begins at 0 again.
+    # count.
     counts: str | None = None
     volume_per_count_cm3: float = 0.0
-    rolls_over_at: float | None = None
     # A row of the log is of this channel alone, so that a row without a value says that there is
     # none; else it may only be a row of another channel.
     has_rows_of_its_own: bool = False
@@ -98,7 +97,6 @@ class ChannelRules:
             shift_us=round(channel.time_offset_s * SECOND_US),
             counts=channel.unit if channel.is_counted else None,
             volume_per_count_cm3=channel.volume_per_count_cm3 or 0.0,
-            rolls_over_at=channel.counter_rolls_over_at,
             has_rows_of_its_own=logs is not None and logs.layout != "wide",
         )
         # A value that is stated is refused by none.
@@ -315,7 +313,6 @@ def _judged_alone(
             longest_gap_us,
             rules.volume_per_count_cm3,
             is_total=rules.counts == TOTAL,
-            rolls_over_at=rules.rolls_over_at,
         )
         masks |= of_counter
     masks |= {

@@ -26,8 +26,6 @@ ROUNDING = 1e-6
 STEP_ROUNDING = 0.01
 # cm³/µs -> l/min.
 CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0
-# A counter that falls has rolled over if it thereby counted less than this share of its range.
-ROLL_OVER_SHARE = 0.5
 # A change is a step of the sensor if this share of all pairs makes it, and so many at least.
 STEP_SHARE = 0.05
 FEWEST_STEPS = 3
@@ -301,12 +299,11 @@ def flow_from_counts(
     volume_per_count_cm3: float,
     *,
     is_total: bool,
-    rolls_over_at: float | None = None,
 ) -> tuple[Times, Values, dict[str, Mask]]:
     """Return times and flow [l/min] of a counter since each sample before, and masks by reason.
 
-    `no_interval`: there is no known sample before; `counter_reset`: a total fell other than by
-    rolling over. The flow is nan there.
+    `no_interval`: there is no known sample before; `counter_reset`: a total fell, reset or
+    rolled over, which costs a sample. The flow is nan there.
     """
     steps = np.diff(time_us, prepend=time_us[:1])
     fresh, reset = count.astype(np.float64), np.zeros(len(count), dtype=np.bool_)
@@ -314,10 +311,6 @@ def flow_from_counts(
     unknown[:1] = True
     if is_total:
         fresh = np.diff(count, prepend=np.nan)
-        if rolls_over_at is not None:
-            rolled = fresh + rolls_over_at
-            over = (fresh < 0) & (rolled >= 0) & (rolled < ROLL_OVER_SHARE * rolls_over_at)
-            fresh = np.where(over, rolled, fresh)
         reset = ~unknown & (fresh < 0)
         unknown |= np.isfinite(count) & np.isnan(fresh)
     known = ~(unknown | reset)

@@ -32,8 +32,8 @@ from pipeline.config.motor_types import (
     LaminarPath,
     MotorTypeFile,
     PathSection,
-    Scale,
     SpeedCurvePath,
+    Unknown,
 )
 from pipeline.config.section import Stage
 from pipeline.night.cleaning import CHANNEL_RULES, Course
@@ -95,7 +95,7 @@ class OrificePath(PathSection):
     law: Literal["orifice"]
     flow_l_per_min: float
     diameter_um: Annotated[float, Stage.SCALE]
-    scale: Annotated[Scale, Stage.SCALE]
+    scale: Annotated[Unknown, Stage.SCALE]
     flow_tolerance_percent: Annotated[float, Stage.FIGURES] = 0.0
 
     def path(self) -> Orifice:
@@ -120,7 +120,7 @@ LAMINAR: dict[str, Any] = {
     "coefficient_m3": {"value": 2e-14, "minimum": 0.0, "maximum": 1e-12},
 }  # fmt: skip
 ORIFICE: dict[str, Any] = {
-    "name": "bore", "law": "orifice", "source": "test", "flow_l_per_min": 1.0,
+    "name": "bore", "law": "orifice", "source": "test", "count": 1, "flow_l_per_min": 1.0,
     "diameter_um": 400.0, "flow_tolerance_percent": 5.0,
     "scale": {"value": 1.0, "minimum": 0.0, "maximum": 10.0, "fixed": False},
 }  # fmt: skip

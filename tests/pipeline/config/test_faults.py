@@ -100,7 +100,6 @@ CASES: tuple[Case, ...] = (
             ('sampling = "mean"', "mean_of_s", "together with"),
             ("mean_of_s = 10.0", "mean_of_s", "together with"),
             ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3", "together with unit"),
-            ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at", 'unit = "count"'),
             ("time_offset_s = 3600.0", "time_offset_s", "less than"),
             (f'earlier_units = [["bar", {DAY_4}Z]]', "earlier_units", "expected units of"),
             (f'earlier_units = [["l/h", {DAY_4}]]', "earlier_units.0.1", "timezone"),

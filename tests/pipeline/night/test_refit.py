@@ -17,14 +17,13 @@ from leakage import OperatingConditions, total_flow_l_per_min
 from leakage.estimation.blocks import Windows as Blocks
 from pipeline.config import MotorSpec, Windows, hashes
 from pipeline.config.motors import Event, MotorFile
-from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.night.fit_night import NightOutcome, refit, refit_read
 from pipeline.run.night_plan import roller_decision
 from pipeline.schema import BLOCKS, NIGHT_TABLES, frame
 from pipeline.store.published import TABLE_OF
 from tests.pipeline.night.noise_free import fitted, parameters, white
-from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, with_settings
+from tests.pipeline.simulated import NIGHT, operate, with_settings
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
@@ -100,6 +99,8 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
     for row in (before, after):
         assert row["roller_scale"] == pytest.approx(TRUE_SCALE, abs=0.02)
         assert row["roller_verdict"] == "identified"
+    scale = parameters(free)["scale_cam_roller"]
+    assert scale["lower"] < TRUE_SCALE < scale["upper"]
     # The misfit is that of the model as stated, and so is what it does to K.
     assert after["model_misfit_percent"] == before["model_misfit_percent"] > 2.0
     # Read with its scale free it is the night fitted anew.
@@ -120,21 +121,6 @@ def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorS
     read = night(moved)
     for name in ("fitted_leakage_sensor_l_per_min", "fitted_leakage_l_per_min"):
         assert anew.rows["fits"][0][name] == pytest.approx(read.rows["fits"][0][name], rel=0.02)
-
-
-def test_it_is_the_fit_of_a_type_whose_scale_is_free(tmp_path: Path, spec: MotorSpec) -> None:
-    """From blocks with the rollers known, as from blocks with a column of their own."""
-    text = (shipped_configs() / "motor_types" / "CB560.toml").read_text("utf-8")
-    text = text.replace('motor_type = "CB560"', 'motor_type = "FREE"')
-    text += "scale = { value = 1.0, minimum = 0.0, maximum = 10.0, fixed = false }\n"
-    read = night(load_motor(tmp_path / "free", motor_toml("M1", "FREE"), {"FREE": text}))
-    scale = parameters(read)["scale_cam_roller"]
-    assert scale["verdict"] == "identified"
-    assert scale["lower"] < TRUE_SCALE < scale["upper"]
-    (anew,), (stated,) = refit_read(freed(spec), night(spec)).rows["fits"], read.rows["fits"]
-    assert anew["coefficient_names"] == stated["coefficient_names"]
-    for name in ("coefficients", "cost", "fitted_leakage_upper"):
-        assert anew[name] == pytest.approx(stated[name], rel=1e-6, abs=1e-30), name
 
 
 @pytest.mark.parametrize(
