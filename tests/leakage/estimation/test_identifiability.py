@@ -14,7 +14,13 @@ from scipy.stats import t as student_t
 from leakage import Motor, OperatingConditions, leakage_l_per_min
 from leakage.estimation import identifiability
 from leakage.estimation.blocks import factors, merge
-from leakage.estimation.identifiability import Excitation, Identification, identify, judge_leakage
+from leakage.estimation.identifiability import (
+    Excitation,
+    Identification,
+    identify,
+    judge_by_total,
+    judge_leakage,
+)
 from leakage.estimation.proven_minimum import Fit, fit
 from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
 from leakage.estimation.uncertainty import ClusterRobust, Interval, cluster_robust
@@ -109,6 +115,16 @@ def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
         _, found, _ = judged(slow=slow)
         halves.append(found.coefficients[0].interval.half_width)
     assert halves[1] / halves[0] == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.49, "identified"), (0.51, "uncertain")])
+def test_a_coefficient_is_as_sure_as_sensors_and_the_model_leave_it(
+    share: float, verdict: str
+) -> None:
+    """By the configured value; what is estimated is the same."""
+    estimate, found, _ = judged(noise=1e-4)
+    whole = share * estimate.motor.column_paths[0].configured_coefficient
+    assert verdicts(judge_by_total(estimate, found, {0: whole, 1: None}))[0] == verdict
 
 
 @pytest.mark.parametrize(

@@ -43,13 +43,15 @@ def test_effects_are_of_the_size_and_sign_that_the_model_states() -> None:
         placeholder_motor("CB560"),
         Tolerances(
             pressure_bar=ChannelTolerance(offset=1.0),
-            temperature_c=ChannelTolerance(offset=1.0),
+            temperature_c=ChannelTolerance(offset=1.0, gain=0.02),
             flow_l_per_min=ChannelTolerance(offset=0.02, gain=0.01),
             pressure_viscosity=-0.1,
         ),
     )
     in_percent = {name: 100 * values for name, values in found.items()}
     assert in_percent["oil_temperature offset"][3] == pytest.approx(-4.8, abs=0.3)
+    # At 50 °C it is the same as a degree.
+    assert in_percent["oil_temperature gain"][3] == pytest.approx(-4.8, abs=0.4)
     assert in_percent["leakage_flow offset"][3] == pytest.approx(1.5, abs=0.4)
     assert in_percent["leakage_flow offset"][0] > 5
     assert in_percent["leakage_flow gain"][3] == pytest.approx(1.1, abs=0.2)

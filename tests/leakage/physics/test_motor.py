@@ -81,6 +81,15 @@ def test_long_series_equal_their_samples_one_by_one() -> None:
         np.testing.assert_allclose(total_flow_l_per_min(motor, sample)[0], total[index], rtol=1e-14)
 
 
+def test_with_a_charge_pressure_both_sides_leak() -> None:
+    """The high one at ΔP and the charge, whatever the direction; the low one at the charge."""
+    both = OperatingConditions.from_bar([200.0, -200.0], 50.0, 30.0, 15.0)
+    sides = (OperatingConditions.from_bar([bar, bar], 50.0, 30.0) for bar in (215.0, 15.0))
+    motor = placeholder_motor()
+    apart = sum(total_flow_l_per_min(motor, side) for side in sides)
+    np.testing.assert_allclose(total_flow_l_per_min(motor, both), apart, rtol=1e-12)
+
+
 def test_nan_stays_in_its_row_and_in_what_depends_on_it() -> None:
     conditions = OperatingConditions.from_bar(
         [200.0, math.nan, 200.0, 200.0], [50.0, 50.0, math.nan, 50.0], [30.0, 30.0, 30.0, math.nan]
@@ -95,7 +104,11 @@ def test_nan_stays_in_its_row_and_in_what_depends_on_it() -> None:
 
 
 def test_a_standard_can_be_freed() -> None:
-    assert placeholder_motor().with_free_standard() == placeholder_motor(roller_is_free=True)
+    motor = placeholder_motor()
+    assert motor.with_free_standard() == placeholder_motor(roller_is_free=True)
+    # A known gap is none: its loss factor is a constant of the drawing.
+    known = replace(piston_ring(), gap=replace(piston_ring().gap, fixed=True))
+    assert replace(motor, paths=(known,)).standard is None
 
 
 def test_coefficient_of_an_unknown_path_is_refused() -> None:
@@ -183,7 +196,8 @@ def test_temperatures_at_which_d341_does_not_hold_are_refused(
     with pytest.raises(ValidityError) as caught:
         kinematic_viscosity_mm2_per_s(temperatures_c, *oil)
     assert caught.value.code == code
-    assert np.diff(kinematic_viscosity_mm2_per_s([-70.0, -69.0], *VG_46)) < 0.0
+    for ends in ([-70.0, -69.0], [369.0, 370.0]):
+        assert np.diff(kinematic_viscosity_mm2_per_s(ends, *VG_46)) < 0.0
 
 
 @pytest.mark.parametrize(

@@ -229,6 +229,20 @@ def test_a_wander_from_few_nights_says_less() -> None:
     assert few.log_ratio.argmax() == certain.log_ratio.argmax()
 
 
+@pytest.mark.parametrize(("n_nights", "stand_for"), [(len(DAYS), 4.0), (len(DAYS) + 1, 1.0)])
+def test_a_first_night_stands_for_starts_before_it_where_no_earlier_ones_are_known(
+    n_nights: int, stand_for: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a ramp alone: a step has to begin behind the baseline."""
+    evidence, ratios = Dense.of_seed(1).evidence(n_nights=n_nights), []
+    for weight in (1.0, 4.0):
+        monkeypatch.setattr("leakage.watch.choices.STARTS_BEFORE", weight)
+        ratios.append(evidence.of_starts(np.array([0, 1])).log_ratio)
+    assert np.all(np.isneginf(ratios[0][STEP, 0]))
+    gained = ratios[1][RAMP] - ratios[0][RAMP]
+    assert gained == pytest.approx(np.array([[math.log(stand_for)], [0.0]]) + np.zeros((2, 3)))
+
+
 @pytest.mark.parametrize(("first", "last"), [(0, 0), (0, 39), (7, 200), (13, 350), (0, 1000)])
 def test_thinned_starts_stand_for_all(first: int, last: int) -> None:
     starts, weights = starts_of(first, last)

@@ -15,6 +15,7 @@ import pytest
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import (
+    DRAIN_DELAY,
     SettingsHashes,
     config_hash,
     model_hash,
@@ -248,3 +249,9 @@ def test_settings_of_nights_are_kept_apart_from_those_of_trends(
         not of_nights,
     )
     assert why_anew(before, now, trends=True) == f"changed setting {table}.{key}"
+
+
+def test_a_delay_that_was_decided_is_noted_beside_the_settings(spec: MotorSpec) -> None:
+    undecided, decided = settings_of(spec), settings_of(replace(spec, drain_delay_s=2.5))
+    assert decided == {**undecided, DRAIN_DELAY: 2.5}
+    assert DRAIN_DELAY not in undecided

@@ -104,6 +104,18 @@ def test_what_is_refused_within_a_session_is_a_loss() -> None:
     assert (samples.n_running, len(samples.index)) == (600, 600 - 51)
 
 
+def test_while_the_logger_is_off_nothing_runs_that_could_be_lost() -> None:
+    """From 20 to 40 s; at the two ends there is a sample."""
+    channels = running(60)
+    for name, channel in channels.items():
+        is_on = abs(channel.time_us - START - 30 * SECOND) >= 10 * SECOND
+        periods = {"period_us": channel.period_us, "longest_gap_us": channel.longest_gap_us}
+        channels[name] = cleaned(channel.time_us[is_on], channel.value[is_on], **periods)
+    samples, _ = together(channels)
+    assert (samples.n_logged, samples.n_running) == (601 - 199, 601 - 199)
+    assert samples.kept_share == 1.0
+
+
 @pytest.mark.parametrize("rate_hz", [10, 100])
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_a_log_that_touches_the_night_with_a_few_samples(rate_hz: int, n: int) -> None:
@@ -342,10 +354,13 @@ def test_a_halt_that_is_too_short_tells_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("low_bar", "case_bar", "is_known"),
-    [(15.0, 0.0, False), (15.0, 14.0, True), (0.3, 0.0, True), (None, 0.0, False)],
+    [
+        *((15.0, 0.0, False), (15.0, 14.0, True), (0.3, 0.0, True), (None, 0.0, False)),
+        *((0.3, None, True), (15.0, None, False)),
+    ],
 )
 def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
-    low_bar: float | None, case_bar: float, is_known: bool
+    low_bar: float | None, case_bar: float | None, is_known: bool
 ) -> None:
     """Equal pressures on both ports leak to the case; a difference alone is no proof."""
     still, bar, flow = night(*THREE)
@@ -353,7 +368,8 @@ def test_ports_show_the_zero_of_the_flow_only_where_they_are_near_case_pressure(
     if low_bar is not None:
         ports = {"high_port_pressure": low_bar + bar, "low_port_pressure": np.full(N, low_bar)}
         channels = {name: channel(values) for name, values in ports.items()} | channels
-    channels["case_pressure"] = channel(np.full(N, case_bar))
+    if case_bar is not None:
+        channels["case_pressure"] = channel(np.full(N, case_bar))
     pressure, zero = zeros_of_halts(still, GRID, channels, SensorHealth())
     assert pressure.value == pytest.approx(ZERO_BAR, abs=0.05)
     assert (zero is not None) == is_known

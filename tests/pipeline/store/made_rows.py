@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,10 @@ def rows(*some: Row, run_id: str = "first") -> pl.DataFrame:
 
 
 def publish(
-    output: Path, motors: Mapping[str, Mapping[Table, StagedNights]], run_id: str = "r"
+    output: Path,
+    motors: Mapping[str, Mapping[Table, StagedNights]],
+    run_id: str = "r",
+    published: Callable[[], object] = lambda: None,
 ) -> None:
     """Stage nights of motors, and publish them, as a run does."""
     staging = output / "staging" / "run"
@@ -43,7 +46,7 @@ def publish(
         stage(staged_file(staging / "nights", motor_id), tables)
     tables = list(dict.fromkeys(table for some in motors.values() for table in some))
     with open_state(output) as state:
-        Publisher(state, staging, run_id).nights("nights", tables, list(motors))
+        Publisher(state, staging, run_id).nights("nights", tables, list(motors), published)
 
 
 def publish_night(

@@ -123,6 +123,17 @@ class TestRows:
             assert sorted(seen[-1]["path"]) == sorted([*map(str, (*NIGHTS, LATER)), "moving"])
         assert all(rows["path"].is_unique().all() for rows in seen)
 
+    def test_what_is_remembered_is_noted_once_with_the_last_files(self, tmp_path: Path) -> None:
+        n_files: list[int] = []
+
+        def note_state() -> None:
+            n_files.append(len(files_of(tmp_path, QUALITY)))
+
+        nights = {night: [row("A", night=night)] for night in (NIGHT, LATER)}
+        publish(tmp_path, {"A": {QUALITY: nights}}, published=note_state)
+        publish(tmp_path, {}, published=note_state)
+        assert n_files == [2, 2]
+
 
 class TestRefused:
     """What is there is no sound file: the run ends, and the next one mends it."""
@@ -171,11 +182,16 @@ def opened(output: Path, monkeypatch: pytest.MonkeyPatch) -> duckdb.DuckDBPyConn
 
 
 def test_views_on_an_empty_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_views(tmp_path)
+    for _ in range(2):
+        write_views(tmp_path)
     with opened(tmp_path, monkeypatch) as connection:
         for table in TABLES:
             view = connection.table(table.name)
             assert (view.columns, view.fetchall()) == (list(table.schema), [])
+        asked = "SELECT column_name, comment FROM duckdb_columns() WHERE comment IS NOT NULL"
+        words = dict(connection.execute(asked).fetchall())
+    assert words["training_rmse_l_per_min"].endswith(" samples [l/min]")
+    assert words["is_primary"].endswith(" a night")
 
 
 def test_types_of_an_empty_view_are_those_of_its_files(

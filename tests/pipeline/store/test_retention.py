@@ -43,7 +43,9 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(
         with pytest.raises(KeyboardInterrupt):
             pruned(tmp_path)
     assert list(verify_tables(tmp_path)) == []
-    (_, old) = old_files(tmp_path, KEPT, NIGHTS[-1])
+    months, old = old_files(tmp_path, KEPT, NIGHTS[-1])
+    february = dt.date(2026, 2, 1), dt.date(2026, 2, 28)
+    assert (months.table, months.first, months.last) == ("error_budget", *february)
     assert (old.table, old.first, old.last) == ("predictions", NIGHTS[0], NIGHTS[3])
     pruned(tmp_path)
     gone = {f"predictions/month={night:%Y-%m}/{night}.parquet" for night in NIGHTS[:-2]}
