@@ -84,7 +84,7 @@ def _export_table(
     output: Path, folder: Path, table: Table, request: CsvRequest
 ) -> tuple[Path, int]:
     path, count = folder / f"{table.name}.csv", 0
-    chosen, separator = _chosen(table, request), request.separator
+    chosen, separator = _choose_rows(table, request), request.separator
 
     def write(file: BinaryIO) -> None:
         nonlocal count
@@ -102,7 +102,7 @@ def _export_table(
     return path, count
 
 
-def _chosen(table: Table, request: CsvRequest) -> pl.Expr:
+def _choose_rows(table: Table, request: CsvRequest) -> pl.Expr:
     """Return rows of the motors, and of the nights or else the days of the time in the key."""
     chosen = pl.lit(value=True)
     if request.motors and "motor_id" in table.schema:

@@ -124,8 +124,8 @@ def prepare(
         here = night(label, settings.nights)
         inside = (time_us >= here.start_us) & (time_us < here.end_us)
         of_night = {name: channel.rows(inside) for name, channel in channels.items()}
-        parts.append(_cleaned(file, settings, label, of_night))
-    return _joined(parts, settings)
+        parts.append(_clean(file, settings, label, of_night))
+    return _join(parts, settings)
 
 
 def prepare_log(config: Fleet | Path | str, motor_id: str, nights: dt.date | str) -> Prepared:
@@ -183,7 +183,7 @@ def _of_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
     if len({spec.file.oil_on(label) for label in labels}) > 1:
         message = f"{spec.motor_id} has another oil in some of these nights: choose less"
         raise UsageError("oil_changed", message)
-    prepared = _joined([_of_logs(spec, logs, label) for label in labels], spec.settings)
+    prepared = _join([_of_logs(spec, logs, label) for label in labels], spec.settings)
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
     return replace(prepared, motor=motor, tolerances=tolerances(spec, labels[-1]))
 
@@ -196,10 +196,10 @@ def _of_logs(spec: MotorSpec, logs: MotorLogs, label: dt.date) -> Part:
             return pl.DataFrame(), [], f"night of {label}: log: {logs.files[name].message}"
     channels = slice_night([log for log in read if log is not None], here, reaches_us(spec))
     logs.let_go_until(label)
-    return _cleaned(spec.file, spec.settings, label, channels)
+    return _clean(spec.file, spec.settings, label, channels)
 
 
-def _cleaned(
+def _clean(
     file: MotorFile, settings: Settings, label: dt.date, channels: MutableMapping[str, RawChannel]
 ) -> Part:
     """Return kept samples of a night, and counts of each rule that refused anything."""
@@ -230,7 +230,7 @@ def _frame(settings: Settings, samples: Samples) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col("time").cast(TIMESTAMP))
 
 
-def _joined(parts: list[Part], settings: Settings) -> Prepared:
+def _join(parts: list[Part], settings: Settings) -> Prepared:
     frames, refused, notes = zip(*parts, strict=True)
     rows = [row for of_night in refused for row in of_night]
     return Prepared(

@@ -55,7 +55,7 @@ PARAMETERS = 3
 RELATIVE_ROUNDING = 1e-12
 
 
-def whitened(columns: Array, phi: float, nights: Places) -> Array:
+def whiten(columns: Array, phi: float, nights: Places) -> Array:
     r"""Return columns, shape (n, k), whose errors no longer remember: Prais and Winsten [1]_.
 
     .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
@@ -145,7 +145,7 @@ def fit_slope(nights: Places, values: Array, position: Array) -> Slope:
     residuals = line.residuals(0)
     if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values))):
         return Slope(n, float(line.slopes[0]))
-    line = CourseFits.of(whitened(columns, estimated_phi(residuals, nights), nights))
+    line = CourseFits.of(whiten(columns, estimated_phi(residuals, nights), nights))
     slope, errors, freedom = float(line.slopes[0]), line.residuals(0), n - PARAMETERS
     error = math.sqrt(float(errors @ errors) / freedom / float(line.spans[0]))
     half = float(stdtrit(freedom, 0.975)) * error
@@ -309,7 +309,7 @@ def _crossed_by_shape(nights: Places, u: Array, y: Array, at: Array) -> tuple[Ar
     columns = np.column_stack([np.ones(len(u)), y, _shapes(u).T])
     plain = CourseFits.of(columns)
     best = plain.residuals(int(np.argmin(_squares(plain))))
-    fits = CourseFits.of(whitened(columns, estimated_phi(best, nights), nights))
+    fits = CourseFits.of(whiten(columns, estimated_phi(best, nights), nights))
     squares = _squares(fits)
     log_weights = np.log(_PRIOR / np.sqrt(fits.spans))
     log_weights -= TEMPERING * freedom / 2.0 * np.log(squares)

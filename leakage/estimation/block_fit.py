@@ -12,7 +12,7 @@ from leakage.estimation.blocks import merge, with_free_known
 from leakage.estimation.identifiability import Excitation, Identification, identify
 from leakage.estimation.misfit import Misfit, misfit
 from leakage.estimation.proven_minimum import Fit, ProvenMinimum, certify, fit
-from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
+from leakage.estimation.slow_errors import SlowErrors, slow_errors, whiten, with_level
 from leakage.physics.motor import Motor
 
 
@@ -46,7 +46,7 @@ class BlockEstimate:
     whitened: Array  # the factors without that memory, shape (b, c, c)
     misfit: Misfit | None  # structured misfit; None where the blocks are too few
 
-    def identified(self, excitation: Excitation) -> Identification:
+    def identify(self, excitation: Excitation) -> Identification:
         """Return verdicts and intervals by the samples alone, of this range."""
         return identify(self.fit, self.whitened, excitation, self.slow)
 
@@ -61,7 +61,7 @@ def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
     training = certify(merge(blocks.factors[blocks.trains]), lower, upper)
     whole = merge(blocks.factors)
     slow = slow_errors(blocks.factors, blocks.number, fixed, lower, whole)
-    white = whitened(blocks.factors, blocks.number, slow)
+    white = whiten(blocks.factors, blocks.number, slow)
     fitted = merge(white) if slow.are_slow else whole
     best = fit(fitted, motor)
     # An estimate on a bound: the slopes ask for what no gap can do.
@@ -72,7 +72,7 @@ def fit_blocks(blocks: SampleBlocks, motor: Motor) -> BlockEstimate:
         # The level would be left to a single block, from which nobody can tell how sure it is.
         adding = slow_errors(blocks.factors, blocks.number, fixed, lower, whole, scales=False)
         adding = replace(adding, evidence=slow.evidence)
-        white = whitened(blocks.factors, blocks.number, adding)
+        white = whiten(blocks.factors, blocks.number, adding)
     return BlockEstimate(
         fit=best,
         training=training,

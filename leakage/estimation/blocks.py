@@ -225,7 +225,7 @@ def split_into_blocks(
 
 def _parts(numbers: NDArray[np.int64], sizes: NDArray[np.int64], settings: Windows) -> list[str]:
     if settings.split == "interleaved":
-        return _interleaved(numbers, settings)
+        return _interleave(numbers, settings)
     before = np.cumsum(sizes) - sizes
     n_training = int((before < settings.training_share * sizes.sum()).sum())
     border = numbers[n_training - 1] + settings.guard_blocks
@@ -253,7 +253,7 @@ def within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:
     return mask
 
 
-def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
+def _interleave(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
     guard = settings.guard_blocks
     # A night of many blocks takes longer turns: a cycle has four parts, which cannot be merged.
     cycles = settings.maximum_blocks // 4

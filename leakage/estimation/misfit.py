@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from leakage.arrays import Array, Mask
 from leakage.estimation.blocks import ROUNDING, merge
-from leakage.estimation.slow_errors import slow_errors, whitened
+from leakage.estimation.slow_errors import slow_errors, whiten
 from leakage.estimation.uncertainty import cluster_robust
 
 # Columns in front: the known flow, then products of the leakage; the constant is the ones.
@@ -90,7 +90,7 @@ def misfit(
         return None
     mean_flow = flow / float(n.sum())
     about = (means - np.average(means, axis=0, weights=n)) / UNITS
-    plain = _extended(factors, theta, np.column_stack([about, about[:, 1] * about[:, 2]]))
+    plain = _extend(factors, theta, np.column_stack([about, about[:, 1] * about[:, 2]]))
     needed = np.append(np.zeros(IN_FRONT, dtype=bool), ~fixed)
     # The column of ones is needed where flushing is estimated, and not needed otherwise.
     added = np.append(np.ones(IN_FRONT, dtype=bool), np.zeros(len(fixed), dtype=bool))
@@ -100,7 +100,7 @@ def misfit(
     # Memory of the errors beside the misfit: to the fit alone, a misfit looks like a slow error.
     unweighted = merge(plain)
     slow = slow_errors(plain, number, ~(needed | added), held, unweighted, scales)
-    white = whitened(plain, number, slow)
+    white = whiten(plain, number, slow)
     whole = merge(white) if slow.are_slow else unweighted
     values = _least_squares(whole, needed | added, held)
     error = whole @ np.concatenate([-values, (-1.0, 1.0)])
@@ -117,7 +117,7 @@ def misfit(
     return Misfit(size, size / mean_flow, math.sqrt(noise) / mean_flow)
 
 
-def _extended(rows: Array, theta: Array, about: Array) -> Array:
+def _extend(rows: Array, theta: Array, about: Array) -> Array:
     """Return rows of blocks with the columns a right model does not need in front, (b, r, c+5).
 
     The constant among them is the statistics' own column of ones.

@@ -172,7 +172,7 @@ def analyse_residuals(
     if reason:
         nothing = LagTest.untested(reason)
         return ResidualAnalysis(n, nothing, dict.fromkeys(inputs, nothing), None)
-    some = _tested(n)
+    some = _choose_tested(n)
     errors = _Errors.of(error[some], index[some])
     effective = errors.effective_share
     return ResidualAnalysis(
@@ -183,7 +183,7 @@ def analyse_residuals(
     )
 
 
-def _tested(n: int) -> Places | slice:
+def _choose_tested(n: int) -> Places | slice:
     """Return the samples that are tested: all, or evenly spread stretches of very many."""
     if n <= STRETCHES * STRETCH:
         return slice(None)

@@ -192,12 +192,12 @@ def error_budget(
     disturbed temperature leaves the range of Walther's equation.
     """
     known, samples = [*sources(motor, tolerances)], slice(len(at), len(at) + len(flow_l_per_min))
-    read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
+    read = Window(motor, OperatingConditions.join([conditions, *as_read]), flow_l_per_min)
     windows = [read, *(source.disturbed(read) for source in known)]
     # No sensor moves what is stated.
     columns = np.stack(
         [
-            regressors(window.motor, OperatingConditions.joined([*at, window.conditions]))
+            regressors(window.motor, OperatingConditions.join([*at, window.conditions]))
             for window in windows
         ]
     )

@@ -202,7 +202,7 @@ def _most_likely(free: Array, means: Means, variance: float) -> tuple[float, flo
     return memory, ratio, float(deviance[0] - deviance[best])
 
 
-def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
+def whiten(factors: Array, number: Places, errors: SlowErrors) -> Array:
     """Return factors of samples whose slow errors are whitened; as they are where there are none.
 
     Shape (b, c, c), not triangular: each block's rest, with the whitened means in place of its own;
@@ -212,7 +212,7 @@ def whitened(factors: Array, number: Places, errors: SlowErrors) -> Array:
         return factors
     means = Means.along(factors, errors.direction, number)
     root = np.sqrt(means.n)[:, None]
-    moved = _whitened_means(means, errors) - root * means.values
+    moved = _whiten_means(means, errors) - root * means.values
     unit = factors @ errors.direction / root
     made = factors + unit[:, :, None] * moved[:, None]
     ones, before = made[:, :, -3], factors[:, :, -3]
@@ -231,7 +231,7 @@ def with_level(factors: Array, number: Places, errors: SlowErrors) -> Array:
     level = np.average(means.values, axis=0, weights=means.n)
     root = np.sqrt(means.n)[:, None]
     apart = means._replace(values=means.values - level)
-    moved = _whitened_means(apart, errors) - root * means.values
+    moved = _whiten_means(apart, errors) - root * means.values
     unit = factors @ errors.direction / root
     made = factors + unit[:, :, None] * moved[:, None]
     whole = np.zeros_like(factors[:1])
@@ -314,7 +314,7 @@ def _explained_by_slow(means: Means, memory: Array, ratio: Array) -> tuple[Array
     return np.pad(explained, ((1, 0), (0, 0), (0, 0))), np.append(0.0, log_size)
 
 
-def _whitened_means(means: Means, errors: SlowErrors) -> Array:
+def _whiten_means(means: Means, errors: SlowErrors) -> Array:
     """Return means whitened by a Kalman filter, shape (b, c)."""
     size = errors.variance_ratio / means.usual_n
     steps = np.diff(means.number, prepend=means.number[:1]).tolist()

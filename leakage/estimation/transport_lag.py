@@ -75,14 +75,14 @@ def transport_lag(
     place = np.full(int(index[-1]) - first + reach + 1, -1)
     place[index - first] = np.arange(len(index))
     here = index[chosen] - first
-    ours = _gathered(drivers, chosen)
+    ours = _gather(drivers, chosen)
     centre, spread = ours.mean(axis=1)[:, None], ours.std(axis=1)
     scale = np.array([*np.where(spread > 0.0, spread, 1.0), 1.0, 1.0])
 
     def explained(lags: Places, apart: int = 1) -> Array:
         own, at = chosen[::apart], here[::apart]
         moments = np.array([_moments(flow, drivers, centre, own, place[at - lag]) for lag in lags])
-        return _explained(moments / np.outer(scale, scale), len(own))
+        return _explained_share(moments / np.outer(scale, scale), len(own))
 
     apart = max(len(chosen) // ENOUGH_FOR_COARSE, 1)
     every = np.arange(zero - longest, zero + longest + 1, coarse)
@@ -101,7 +101,7 @@ def transport_lag(
     return TransportLag(lag_s, middle - float(explained(np.array([zero]))[0]))
 
 
-def _gathered(drivers: Sequence[Array], places: Places) -> Array:
+def _gather(drivers: Sequence[Array], places: Places) -> Array:
     """Return drivers at some places, shape (k, m): at all of a day it would take long."""
     return np.stack([driver.take(places) for driver in drivers])
 
@@ -114,13 +114,13 @@ def _moments(
     if not paired.all():
         chosen, partner = chosen[paired], partner[paired]
     values = np.ones((len(drivers) + 2, len(chosen)))
-    np.subtract(_gathered(drivers, partner), centre, out=values[:-2])
+    np.subtract(_gather(drivers, partner), centre, out=values[:-2])
     values[-2] = flow[chosen]
     products: Array = values @ values.T
     return products
 
 
-def _explained(moments: Array, most: int) -> Array:
+def _explained_share(moments: Array, most: int) -> Array:
     """Return R² of the flow on the drivers by each lag's moments; 0 where samples are few."""
     n, sums = moments[:, -1, -1], moments[:, -1, :-1]
     centred = (

@@ -148,7 +148,7 @@ def fit_frame(
         training=agreement(made.factor_of(TRAINING), theta),
         validation=agreement(made.factor_of(VALIDATION), theta),
         tolerances=tolerances,
-        identification=estimate.identified(blocks.excitation),
+        identification=estimate.identify(blocks.excitation),
         beside_samples=np.zeros(len(theta)),
     )
     return fitted.with_errors_beside()

@@ -47,12 +47,12 @@ def plot(samples: FrameSamples, parts: NDArray[np.str_], predicted: Array) -> Fi
             Scatter(x=time, y=line, name="predicted", mode="lines"),
         ]
     )
-    figure.update_layout(STYLE, shapes=list(_shaded(time, parts[few])))
+    figure.update_layout(STYLE, shapes=list(_shade(time, parts[few])))
     figure.update_xaxes(title="time (UTC)" if samples.on_clock else "time [s]")
     return figure.update_yaxes(title="drain flow [l/min]")
 
 
-def _shaded(time: NDArray[Any], parts: NDArray[np.str_]) -> Iterator[dict[str, Any]]:
+def _shade(time: NDArray[Any], parts: NDArray[np.str_]) -> Iterator[dict[str, Any]]:
     """Yield a shape for each run of samples of training and of validation."""
     begins = np.flatnonzero(np.append([True], parts[1:] != parts[:-1]))
     ends = [*(begins[1:] - 1).tolist(), len(parts) - 1]

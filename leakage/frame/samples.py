@@ -175,7 +175,7 @@ class FrameTable:
 
     def __init__(self, frame: Any, names: Mapping[str, str]) -> None:
         self._names = names
-        self._columns = _opened(frame)
+        self._columns = _open(frame)
         self._known = list(self._columns.columns)
         # Dates may be the index of a frame of pandas.
         index = nw.maybe_get_index(self._columns)
@@ -228,7 +228,7 @@ class FrameTable:
         return np.round(time_us).astype(np.int64), on_clock
 
 
-def _opened(frame: Any) -> nw.DataFrame[Any]:
+def _open(frame: Any) -> nw.DataFrame[Any]:
     """Return a frame of any kind, or arrays by name, as narwhals' frame."""
     try:
         if isinstance(frame, Mapping):

@@ -72,7 +72,7 @@ class OperatingConditions:
         return cls(channels[0] * PASCALS_PER_BAR, channels[1], channels[2], charge)
 
     @classmethod
-    def joined(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
+    def join(cls, parts: Sequence[OperatingConditions]) -> OperatingConditions:
         """Return samples of some conditions, end to end; all single-sided, or all two-sided."""
         charges = [
             part.charge_over_case_pa for part in parts if part.charge_over_case_pa is not None

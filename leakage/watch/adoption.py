@@ -48,13 +48,13 @@ from leakage.watch.state import (
     WatchState,
     all_causes,
     change_in_force,
-    event_settled,
     is_contradicted,
     mean_change,
     nights_beyond,
     on_first_baseline,
     present,
     probability_back,
+    settle_event,
     since_before,
 )
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
@@ -100,7 +100,7 @@ def _detect(state: WatchState) -> WatchState:
     return state if state.in_force is None and is_contradicted(detected) else detected
 
 
-def settling(state: WatchState) -> WatchState:
+def settling_change(state: WatchState) -> WatchState:
     """Return a change that settles as the nights up to now show it (model.md, 7c.1).
 
     What reverses it is a change of its own at once. It is withdrawn where the interval of what it
@@ -110,7 +110,7 @@ def settling(state: WatchState) -> WatchState:
         return reversal
     state = with_evidence(state, state.evidence_now(), state.place(state.first_ramp))
     assert state.in_force is not None
-    now = settled(state)
+    now = settle(state)
     assert now.in_force is not None
     # What seems to fall where it rose is about to be reversed: it settles as it was.
     if now.in_force.change.is_rise == state.in_force.change.is_rise:
@@ -125,7 +125,7 @@ def _reversal(state: WatchState) -> WatchState | None:
 
     A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
     """
-    behind = detect_change(_taken_for_granted(state))
+    behind = detect_change(_take_for_granted(state))
     before, now = state.in_force, behind.in_force
     assert before is not None
     assert now is not None
@@ -134,7 +134,7 @@ def _reversal(state: WatchState) -> WatchState | None:
     return None if before.prior is None and present(behind).holds_zero else behind
 
 
-def settled(state: WatchState) -> WatchState:
+def settle(state: WatchState) -> WatchState:
     """Return the state with the change that was detected as the nights up to now show it."""
     assert state.in_force is not None
     assert state.in_force.attribution is not None
@@ -164,7 +164,7 @@ def in_force_of(
     circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """Return the change that is detected from a day on, with its name."""
-    name, leakage = _named(state, evidence, attribution), attribution.leakage
+    name, leakage = _name(state, evidence, attribution), attribution.leakage
     if TEMPERATURE_EFFECT in (
         name.likeliest.name,
         evidence.causes.every[attribution.likeliest].name,
@@ -218,7 +218,7 @@ def in_force_of(
     return ChangeInForce(change, along, of_leakage, before, attribution, prior, circuit)
 
 
-def _named(state: WatchState, evidence: Evidence, attribution: Attribution) -> Name:
+def _name(state: WatchState, evidence: Evidence, attribution: Attribution) -> Name:
     """Return a change's name; its cause is open until the evidence has reached the limit."""
     name = name_of(evidence, state.machine, state.baseline, attribution.start, attribution.drain)
     before = state.in_force
@@ -290,19 +290,19 @@ def begin(
     )
 
 
-def adopted(state: WatchState) -> WatchState:
+def adopt(state: WatchState) -> WatchState:
     """Return the state behind a change that was detected ten nights ago: it is taken as known."""
     in_force = state.in_force
     if in_force is None or in_force.attribution is None:
         return state
     if len(state.window) - 1 - state.place(in_force.change.detected_on) < choices.SETTLE:
         return state
-    return _taken_for_granted(settled(state))
+    return _take_for_granted(settle(state))
 
 
-def _taken_for_granted(final: WatchState) -> WatchState:
+def _take_for_granted(final: WatchState) -> WatchState:
     """Return the watch behind a change, of which its attribution and what errs in it is known."""
-    state, now = event_settled(final), final.in_force
+    state, now = settle_event(final), final.in_force
     assert now is not None
     assert now.attribution is not None
     attribution = now.attribution
@@ -324,7 +324,7 @@ def _taken_for_granted(final: WatchState) -> WatchState:
     period_from = (
         max(attribution.start, detected_on) if attribution.shape == RAMPS else attribution.start
     )
-    behind = _freed(
+    behind = _free(
         state,
         state.place(attribution.start),
         _left_free(state, causes, weights, size, flow),
@@ -338,9 +338,7 @@ def _taken_for_granted(final: WatchState) -> WatchState:
     )
 
 
-def _freed(
-    state: WatchState, place: int, free: Array, undone: Cause | None, day: int
-) -> WatchState:
+def _free(state: WatchState, place: int, free: Array, undone: Cause | None, day: int) -> WatchState:
     """Return the state of nights from a place on, before which all may have moved by a covariance.
 
     No start of a change lies before the night that follows a day.
@@ -372,7 +370,7 @@ def across_event(state: WatchState, machine: Machine, day: int, spread: float) -
     that is likely (model.md, 7c.6). No start of a change lies across it. The baseline stays:
     that of the few nights since showed +8 % later or not at all on four machines of four.
     """
-    state = event_settled(state)
+    state = settle_event(state)
     in_force = state.in_force
     if in_force is not None:
         # What stood stands until nights contradict it: the event's own step is no sign of its end.
@@ -385,7 +383,7 @@ def across_event(state: WatchState, machine: Machine, day: int, spread: float) -
     sd[:p] = choices.LEFT_OF_PATHS * spread / state.baseline.share
     sd[p : p + N_TEMPERATURE] = spread
     free = spread**2 * np.outer(flows, flows) + np.diag(sd**2)
-    behind = _freed(state, len(state.window), free, None, day)
+    behind = _free(state, len(state.window), free, None, day)
     return replace(behind, evidence=NOTHING, period_from=None, crossing=Crossing(spread, now))
 
 
@@ -472,7 +470,7 @@ def at_rest(state: WatchState) -> WatchState:
     return replace(state, in_force=None) if is_over else state
 
 
-def shortened(state: WatchState) -> WatchState:
+def shorten(state: WatchState) -> WatchState:
     """Return the state without its oldest nights, where they are many: they are summed up."""
     if len(state.window) < choices.WINDOW + choices.WINDOW_SLACK:
         return state

@@ -101,7 +101,7 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
     # What did not begin in a night has a shape of its own.
     missed = choices.SIZE_BY_LACK * baseline.lack_of_fit
     missed += choices.SIZE_BY_SHAPE * (since[0] < since[2])
-    size = _pooled(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], missed)
+    size = _pool(weights[:, :, likeliest], value[:, :, likeliest], sd[:, :, likeliest], missed)
     return Attribution(
         (since[0], since[1], since[2]),
         # What began in the baseline is seen against all of it.
@@ -110,7 +110,7 @@ def attribute(evidence: Evidence, baseline: Baseline, starts: Places) -> Attribu
         of_causes,
         likeliest,
         size,
-        _pooled(
+        _pool(
             weights,
             value * of_leakage,
             sd * np.abs(of_leakage),
@@ -140,7 +140,7 @@ def share_of_leakage(cause: Cause, baseline: Baseline) -> float:
     return float(cause.direction @ baseline.leakage_row)
 
 
-def _pooled(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
+def _pool(weights: Array, value: Array, sd: Array, missed: float) -> Estimate:
     """Return a size over starts and shapes, with the share of it that may be missed."""
     weights = weights / weights.sum()
     mean = float((weights * value).sum())
@@ -169,8 +169,8 @@ def name_of(
     for name, weight in zip(names, weights.tolist(), strict=True):
         by_name[name] = by_name.get(name, 0.0) + weight
     groups = _together(by_name, machine, baseline)
-    cause, probability = _identified(groups, by_name, causes.every[likeliest].name)
-    alike = _alike(causes, evidence.tempered, at, change, score, likeliest, machine)
+    cause, probability = _identify(groups, by_name, causes.every[likeliest].name)
+    alike = _alike(causes, evidence.temper, at, change, score, likeliest, machine)
     known = {name: value for name, value in by_name.items() if value > LEAST_PROBABILITY}
     candidates = dict(sorted(known.items(), key=lambda candidate: -candidate[1]))
     return Name(cause, probability, candidates, causes.every[likeliest], alike)
@@ -252,7 +252,7 @@ def _log_ratios(
         of_several, log_width = _several(causes, first, matrix)
         gain = np.append(gain, of_several)
         width = np.append(width, log_width + math.log(choices.SEVERAL_PRIOR))
-    ratio: Array = 0.5 * evidence.tempered(gain[None], at)[0] + width
+    ratio: Array = 0.5 * evidence.temper(gain[None], at)[0] + width
     return ratio
 
 
@@ -296,7 +296,7 @@ def _together(
     return shared
 
 
-def _identified(
+def _identify(
     groups: Mapping[frozenset[str], float], by_name: Mapping[str, float], likeliest: str
 ) -> tuple[str, float]:
     """Return the likeliest group's name, or that it cannot be identified, and its probability."""

@@ -21,10 +21,10 @@ from leakage.watch.nights import FLUSHING, TWO_SIDED_95, Machine, NightBlocks
 from leakage.watch.within_night import (
     START,
     BlockErrors,
-    contradicted,
     estimate_errors,
     night_information,
     unexplained_share,
+    variance_factors,
 )
 
 # Columns of the effect of temperature.
@@ -382,8 +382,8 @@ def _baseline_of(machine: Machine, nights: Sequence[NightBlocks], *, further: Ar
         columns = replace(columns, theta=theta, unit=np.maximum(theta, least_unit))
     least_spread = np.full(columns.n_driven + 2, choices.OPERATING_LEAST_SHARE)
     least_spread[-2:] = choices.OPERATING_LEAST_BAR, choices.OPERATING_LEAST_RPM
-    lack_of_shape = _missed(columns, unknowns, nights, columns.surface_from)
-    lack_of_fit = _missed(columns, unknowns, nights, columns.n_paths)
+    lack_of_shape = _missed_share(columns, unknowns, nights, columns.surface_from)
+    lack_of_fit = _missed_share(columns, unknowns, nights, columns.n_paths)
     operating_points = np.array([columns.operating_point(night) for night in nights])
     return Baseline(
         columns,
@@ -447,7 +447,7 @@ def _fit(
         wider = None
         if known is not None:
             left = residuals - design @ known
-            wider = contradicted(design[:, :p], left, night.middle_s, errors)
+            wider = variance_factors(design[:, :p], left, night.middle_s, errors)
         covariance = errors.covariance(night.middle_s, wider, with_night=True)
         weighted = np.linalg.solve(covariance, np.column_stack([design, residuals]))
         information = information + design.T @ weighted[:, :-1]
@@ -484,7 +484,9 @@ def _own_row(columns: Columns, nights: Sequence[NightBlocks]) -> Array:
     return total
 
 
-def _missed(columns: Columns, unknowns: Array, nights: Sequence[NightBlocks], first: int) -> float:
+def _missed_share(
+    columns: Columns, unknowns: Array, nights: Sequence[NightBlocks], first: int
+) -> float:
     """Return root mean square share of the flow that the unknowns from a place on explain."""
     missed = [columns.of_night(night)[0][:, first:] @ unknowns[first:] for night in nights]
     return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))

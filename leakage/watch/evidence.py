@@ -120,9 +120,9 @@ class Sums:
         """Return the sums over all nights of a window, for directions of a basis, (q, r)."""
         q, r = basis.shape
         nothing = np.zeros((2, q * (q + 1) + r * (q + 1 + r)))
-        return cls((nothing,), np.zeros(1), basis).extended(window, wander, 0)
+        return cls((nothing,), np.zeros(1), basis).extend(window, wander, 0)
 
-    def extended(self, window: Window, wander: Wander, first: int) -> Sums:
+    def extend(self, window: Window, wander: Wander, first: int) -> Sums:
         """Return the sums with the nights of a window from a place on."""
         day = (window.days[first:] - window.days[:1]).astype(float)[:, None]
         rows = np.empty((len(day) + 1, *self.rows[-1].shape))
@@ -342,7 +342,7 @@ class Evidence:
         size = sd**2 * (first + mean / spread**2)
         gain = (size / sd) ** 2 - (mean / spread) ** 2
         one_sided = np.where(is_half, math.log(2.0) + log_ndtr(size / sd), 0.0)
-        log_ratio = 0.5 * self.tempered(gain, starts) + np.log(sd / spread) + one_sided
+        log_ratio = 0.5 * self.temper(gain, starts) + np.log(sd / spread) + one_sided
         log_ratio -= math.log(len(causes) * len(SHAPES))
         is_early = starts < self.first_step
         log_ratio[STEP, is_early] = -np.inf
@@ -350,7 +350,7 @@ class Evidence:
             log_ratio[RAMP, is_early & (starts == 0)] += math.log(choices.STARTS_BEFORE)
         return StartEvidence(log_ratio, size, sd, first, second)
 
-    def tempered(self, gain: Array, starts: Places) -> Array:
+    def temper(self, gain: Array, starts: Places) -> Array:
         """Return twice a gain of ln likelihood, (…, k, d), by Student's t: wander is estimated."""
         n_since = (len(self.window) - starts).astype(float)
         freedom = self.wander.degrees_of_freedom(self.n_nights, n_since)[:, None]

@@ -74,7 +74,7 @@ def rise_of(watch: Watch, night: NightBlocks) -> Rise:
     ratio = (1.0 + now.value) / (1.0 + before.value)
     sd = math.hypot(now.sd, ratio * before.sd) / (1.0 + before.value)
     gain = np.array([[((ratio - 1.0) / sd) ** 2]])
-    own = 0.5 * float(evidence.tempered(gain, newest)[0, 0])
+    own = 0.5 * float(evidence.temper(gain, newest)[0, 0])
     return Rise(min(step, own), Estimate(ratio - 1.0, sd))
 
 

@@ -360,7 +360,7 @@ def present(state: WatchState) -> Estimate:
     return on_first_baseline(state, slice(-_n_present(state), None))
 
 
-def event_settled(state: WatchState) -> WatchState:
+def settle_event(state: WatchState) -> WatchState:
     """Return the state in which the step of an event is as its nights have shown it."""
     step = state.event_step
     ratio = (1.0 + state.carried.value) / (1.0 + step.value)

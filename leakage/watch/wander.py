@@ -142,14 +142,16 @@ def estimate_wander(
         if moved < CONVERGED:
             break
     memory = _memory(nights, mean, days, all_paths, prior)
-    spread = _of_correlated(spread, usual, days, memory)
+    spread = _correct_for_correlation(spread, usual, days, memory)
     # What nights tell of all paths together.
     of_night = nights[:, :p, :p].mean(axis=0) @ all_paths
     of_flow = spread @ of_night
     return Wander(spread, memory, np.outer(of_flow, of_flow) / (of_night @ of_flow))
 
 
-def _of_correlated(spread: Array, usual: Array, days: NDArray[np.int64], memory: Array) -> Array:
+def _correct_for_correlation(
+    spread: Array, usual: Array, days: NDArray[np.int64], memory: Array
+) -> Array:
     """Return Q of correlated nights, which scatter less about their own line than the true line."""
     n, prior = len(days), choices.WANDER_NIGHTS
     line = np.linalg.qr(np.column_stack([np.ones(n), days - days.mean()]))[0]
@@ -211,14 +213,14 @@ def _memory(
     if n <= line.shape[1] + 1:
         return prior.memory
     log_likelihood = np.array(
-        [_restricted(level, line, correlation) for correlation in _correlations(days)]
+        [_restricted_likelihood(level, line, correlation) for correlation in _correlations(days)]
     )
     weights = prior.memory * np.exp(log_likelihood - log_likelihood.max())
     memory: Array = weights / weights.sum()
     return memory
 
 
-def _restricted(values: Array, line: Array, covariance: Array) -> float:
+def _restricted_likelihood(values: Array, line: Array, covariance: Array) -> float:
     """Return ln of the restricted likelihood of values about a line, up to a constant."""
     n, columns = line.shape
     factor = np.linalg.cholesky(covariance)

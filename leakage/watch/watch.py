@@ -21,14 +21,14 @@ from leakage.watch import choices
 from leakage.watch.adoption import (
     Earlier,
     across_event,
-    adopted,
+    adopt,
     at_rest,
     begin,
     detect_change,
     in_force_of,
     new_period,
-    settling,
-    shortened,
+    settling_change,
+    shorten,
     with_new_wander,
 )
 from leakage.watch.causes import ODD_NIGHTS
@@ -40,11 +40,11 @@ from leakage.watch.state import (
     WatchState,
     all_causes,
     change_in_force,
-    event_settled,
     mean_change,
     nights_beyond,
     on_first_baseline,
     reported_change,
+    settle_event,
     with_model_error,
 )
 
@@ -82,20 +82,20 @@ class Watch:
         state = with_night(with_misfit(self.state, night.day, misfit), night)
         if state.apart:
             # Nothing is learned of the motor by channels that do not belong together.
-            return Watch(shortened(state))
+            return Watch(shorten(state))
         if self.state.apart:
             state = without_apart(state, self.state.apart[0], choices.MISFIT_NIGHTS)
-        state = adopted(state)
+        state = adopt(state)
         if state.is_settling:
-            state = settling(state)
+            state = settling_change(state)
             if state.is_settling:
-                return Watch(shortened(state))
+                return Watch(shorten(state))
         if state.crossing is not None and len(state.window) > choices.PERIOD_NIGHTS:
-            state = event_settled(state)
+            state = settle_event(state)
         state = detect_change(with_new_wander(state))
         if not state.is_settling and state.period_from is not None:
             state = new_period(state, earlier)
-        return Watch(shortened(at_rest(state)))
+        return Watch(shorten(at_rest(state)))
 
     def across_event(self, machine: Machine, day: int, spread: float) -> Watch:
         """Return the watch of nights from a day on, behind an event with the same motor (7c.6).
@@ -209,14 +209,14 @@ class Watch:
 
     def arrays(self) -> dict[str, Array]:
         """Return numbers to store, by name."""
-        return _packed("state", self.state)
+        return _pack("state", self.state)
 
     @classmethod
     def of_arrays(
         cls, machine: Machine, settings: WatchSettings, arrays: Mapping[str, Any]
     ) -> Watch:
         """Return the watch that was stored."""
-        stored = _unpacked(WatchState, "state", arrays)
+        stored = _unpack(WatchState, "state", arrays)
         causes = all_causes(machine, stored["baseline"], stored["undone"])
         sums = Sums.of(stored["window"], stored["wander"], causes.basis)
         return cls(WatchState(machine, settings, sums=sums, causes=causes, **stored))
@@ -227,11 +227,11 @@ def with_night(state: WatchState, night: NightBlocks) -> WatchState:
     information, score = state.baseline.information(night)
     distance = state.baseline.distance(night)
     window = state.window.with_night(night.day, information, score, distance)
-    sums = state.sums.extended(window, state.wander, len(window) - 1)
+    sums = state.sums.extend(window, state.wander, len(window) - 1)
     return replace(state, window=window, sums=sums, n_nights=state.n_nights + 1)
 
 
-def _packed(name: str, part: Any) -> dict[str, Any]:
+def _pack(name: str, part: Any) -> dict[str, Any]:
     """Return arrays of a dataclass and of those in it by name; all else as bytes of a text."""
     packed: dict[str, Any] = {}
     words: dict[str, Any] = {}
@@ -240,13 +240,13 @@ def _packed(name: str, part: Any) -> dict[str, Any]:
         if isinstance(value, np.ndarray):
             packed[own] = value
         elif is_dataclass(value):
-            packed |= _packed(own, value)
+            packed |= _pack(own, value)
         else:
             words[field] = value
     return {name: np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)} | packed
 
 
-def _unpacked(kind: Any, name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+def _unpack(kind: Any, name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a dataclass, by name."""
     values: dict[str, Any] = json.loads(bytes(arrays[name]))
     for field, part in _parts_of(kind).items():
@@ -254,7 +254,7 @@ def _unpacked(kind: Any, name: str, arrays: Mapping[str, Any]) -> dict[str, Any]
         if isinstance(value, list):
             values[field] = tuple(value)
         elif field not in values:
-            values[field] = part(**_unpacked(part, own, arrays)) if part else arrays[own]
+            values[field] = part(**_unpack(part, own, arrays)) if part else arrays[own]
     return values
 
 

@@ -132,13 +132,13 @@ def night_information(
     Any rank will do. Blocks that the others of their night contradict, whatever its own paths do,
     count less.
     """
-    wider = contradicted(design[:, :n_paths], residuals, middle_s, errors)
+    wider = variance_factors(design[:, :n_paths], residuals, middle_s, errors)
     factor = cho_factor(errors.covariance(middle_s, wider), lower=True, check_finite=False)
     weighted = cho_solve(factor, np.column_stack([design, residuals]), check_finite=False)
     return design.T @ weighted[:, :-1], design.T @ weighted[:, -1]
 
 
-def contradicted(paths: Array, residuals: Array, middle_s: Array, errors: BlockErrors) -> Array:
+def variance_factors(paths: Array, residuals: Array, middle_s: Array, errors: BlockErrors) -> Array:
     """Return factors on the variance of blocks that others of their night contradict, (b,)."""
     wider = np.ones(len(residuals))
     if len(residuals) < 5:

@@ -202,7 +202,7 @@ def progress_bar(what: str, *, is_shown: bool = True) -> Iterator[Callable[[int,
 
 
 @contextmanager
-def repeated(call: Callable[[], None]) -> Iterator[None]:
+def repeat(call: Callable[[], None]) -> Iterator[None]:
     """Repeat a call in a thread until the block ends, and once then."""
     over = Event()
 

@@ -69,7 +69,7 @@ def check(
     readings are at fault, the folder of the metrics is missing, or a file of the output is damaged;
     2: a fault in the config.
     """
-    from pipeline.logs.finding import strays_text, unclaimed
+    from pipeline.logs.finding import strays_text, unclaimed_logs
     from pipeline.logs.processed import paired_as_published, read_stays
     from pipeline.report.status import standing
     from pipeline.setup.check import Depth, check_motor, with_silent_nights
@@ -112,7 +112,7 @@ def check(
         typer.echo(f"placeholders, to be replaced with the manufacturer's values: {names}")
     for line in standing(fleet.output, [spec.motor_id for spec in fleet.motors]):
         tell({"event": "standing", "words": line}, line, as_json=as_json)
-    if strays := unclaimed(fleet):
+    if strays := unclaimed_logs(fleet):
         tell({"event": "unclaimed", "logs": strays}, strays_text(strays), as_json=as_json)
     faults = list(_fleet_faults(fleet, checks))
     for fault in faults:

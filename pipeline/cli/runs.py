@@ -32,7 +32,7 @@ from pipeline.cli.arguments import (
     nights,
     nights_done,
     progress_bar,
-    repeated,
+    repeat,
     require_order,
     say,
     tell,
@@ -96,7 +96,7 @@ def fit_fleet(
     3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
-        from pipeline.logs.finding import strays_text, unclaimed
+        from pipeline.logs.finding import strays_text, unclaimed_logs
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -114,7 +114,7 @@ def fit_fleet(
         if dry_run:
             print_plan(request, as_json=as_json)
             return
-        if not as_json and (strays := strays_text(unclaimed(fleet))):
+        if not as_json and (strays := strays_text(unclaimed_logs(fleet))):
             say(strays, err=True)
         _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
@@ -133,7 +133,7 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     progress = RunProgress(len(request.specs), as_json=as_json)
     with (
         progress_bar("nights", is_shown=not as_json) as draw,
-        repeated(lambda: draw(*progress.nights)),
+        repeat(lambda: draw(*progress.nights)),
     ):
         result = run_fleet(request, progress.finished, progress.watched)
     print_summary(request, result, as_json=as_json)

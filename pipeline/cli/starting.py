@@ -106,7 +106,7 @@ def init(
     }
     answers |= dict(map(_answer, answer or ()))
     root = fleet.log_root if fleet else None
-    proposal = _proposed(source, answers, root)
+    proposal = _propose(source, answers, root)
     configs = to if add else shipped_configs()
     while questions := [*proposal.questions, *_of_the_machine(configs, answers)]:
         if not sys.stdin.isatty():
@@ -117,7 +117,7 @@ def init(
             typer.echo(
                 f"--answer {shlex.quote(f'{question.key}={answers[question.key]}')}", err=True
             )
-        proposal = _proposed(source, answers, root)
+        proposal = _propose(source, answers, root)
     observed = observed_of(proposal)
     proposal = with_sampling(proposal, observed)
     _print(proposal, observed)
@@ -159,7 +159,7 @@ def _text(question: Question) -> str:
     return f"{question.text}{choices}"
 
 
-def _proposed(source: Path, answers: dict[str, str], root: Path | None) -> Proposal:
+def _propose(source: Path, answers: dict[str, str], root: Path | None) -> Proposal:
     from pipeline.setup.propose import propose
 
     if root is not None and not source.resolve().is_relative_to(root):

@@ -262,7 +262,7 @@ def ack(
         if not opened or not any(parts) or finding:
             message = "expected --opened with --worn or --sound, and no --finding"
             raise UsageError("finding", message)
-        decision = _opened(motor, opened, parts, note)
+        decision = _finding_on_parts(motor, opened, parts, note)
         text = f"opened on {decision.night}; "
         text += f"worn: {decision.worn or 'none'}; sound: {decision.sound or 'none'}"
     else:
@@ -312,7 +312,9 @@ def _parts(spec: MotorSpec, names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(parts.values()))
 
 
-def _opened(motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note: str) -> Decision:
+def _finding_on_parts(
+    motor_id: str, opened: dt.date, parts: Sequence[Sequence[str]], note: str
+) -> Decision:
     """Return finding on the parts of an opened motor; raises UsageError (``finding_part``)."""
     from pipeline.trends.decisions import Decision
 

@@ -26,9 +26,9 @@ def reader_entry(name: str) -> EntryPoint:
     """
     if name in BUILT_IN:
         return EntryPoint(name, BUILT_IN[name], GROUP)
-    entries = [entry for entry in installed() if entry.name == name]
+    entries = [entry for entry in installed_readers() if entry.name == name]
     if not entries:
-        names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
+        names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed_readers()})))
         raise ValueError(f"expected a format of those that are built in or installed: {names}")
     if len(entries) > 1:
         packages = " and ".join(sorted(map(reader_version, entries)))
@@ -46,7 +46,7 @@ FormatName = Annotated[str, AfterValidator(lambda name: reader_entry(name).name)
 
 
 @cache
-def installed() -> tuple[EntryPoint, ...]:
+def installed_readers() -> tuple[EntryPoint, ...]:
     """Return entry points of readers of installed packages."""
     return tuple(entry_points(group=GROUP))
 
@@ -85,7 +85,7 @@ def require_time_format(time_format: str) -> str:
     import polars as pl
 
     try:
-        parsed(pl.Series(["?"]), time_format)
+        parse_stamps(pl.Series(["?"]), time_format)
     except pl.exceptions.PolarsError as error:
         raise ValueError(f"time format {time_format!r}: {error}") from error
     return time_format
@@ -94,7 +94,7 @@ def require_time_format(time_format: str) -> str:
 TimeFormat = Annotated[str, AfterValidator(require_time_format)]
 
 
-def parsed(texts: pl.Series, time_format: str) -> pl.Series:
+def parse_stamps(texts: pl.Series, time_format: str) -> pl.Series:
     """Return time stamps [µs] of text in a format of `time.strptime`; null if it does not fit."""
     # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
     dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format

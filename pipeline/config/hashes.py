@@ -80,7 +80,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
     """Return hash of what shapes a night's statistics; blocks of different hash never merge."""
     free = {path.name for path in motor.column_paths}
     settings = spec.settings.shaping(Stage.BLOCKS)
-    by_hand = _chosen(spec, night)
+    by_hand = _chosen_periods(spec, night)
     document = {
         "version": STATISTICS_VERSION,
         "columns": motor.columns,
@@ -97,7 +97,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
     return hash_of(document)
 
 
-def _chosen(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
+def _chosen_periods(spec: MotorSpec, night: dt.date) -> ChosenPeriods:
     """Return periods of a night that are chosen by hand."""
     periods = spec.file.periods
     if not periods.training and not periods.validation:
@@ -121,7 +121,7 @@ class SettingsHashes:
     def statistics(self, night: dt.date) -> str:
         """Return hash of all that is made of a night's samples: its statistics and what else is."""
         spec = self.spec
-        key = (spec.file.oil_on(night), _chosen(spec, night))
+        key = (spec.file.oil_on(night), _chosen_periods(spec, night))
         if key not in self._statistics:
             motor = spec.stated.motor(night, spec.file.flushing.mode)
             document = {"model_hash": model_hash(spec, motor, night)}

@@ -47,9 +47,9 @@ def load_fleet(path: Path) -> Fleet:
     document = read_toml(path, path.name if path.is_file() else str(path), faults)
     if document is None:
         raise ConfigError(faults)
-    fleet = validated(FleetFile, document, path.name, faults)
+    fleet = validate(FleetFile, document, path.name, faults)
     # The other files are looked at although this file has faults.
-    readable = validated(Folders, document.get("folders", {}), path.name, [])
+    readable = validate(Folders, document.get("folders", {}), path.name, [])
     folders = fleet.folders if fleet else readable or Folders()
     places = dict(_places(path, folders, faults))
     types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
@@ -138,8 +138,8 @@ def _settings(
     shared: Document, override: Any, file: str, faults: list[Fault], *, is_two_sided: bool
 ) -> Settings | None:
     """Return the fleet's settings with a motor's own; None where they have a fault."""
-    merged = _merged(override if isinstance(override, dict) else {}, shared)
-    checked = validated(_Override, {"override": merged}, file, faults)
+    merged = _merge(override if isinstance(override, dict) else {}, shared)
+    checked = validate(_Override, {"override": merged}, file, faults)
     if checked is None:
         return None
     settings = checked.override
@@ -229,9 +229,9 @@ def _read_folder(
         file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
         document = read_toml(path, file, faults)
         files.own[name] = document or {}
-        files.documents[name] = completed(document or {}, context.get("defaults", {}), name)
+        files.documents[name] = complete(document or {}, context.get("defaults", {}), name)
         if document is not None and (
-            content := validated(model, files.documents[name], file, faults, stem=name, **context)
+            content := validate(model, files.documents[name], file, faults, stem=name, **context)
         ):
             files.parsed[name] = content
     return files
@@ -266,7 +266,7 @@ def _content(path: Path) -> bytes:
     return content
 
 
-def validated(
+def validate(
     model: type[Model], document: Document, file: str, faults: list[Fault], **context: Any
 ) -> Model | None:
     """Return model of a file's content; None if it has a fault. `context`: what its fields know."""
@@ -281,7 +281,7 @@ def validated(
 # `[defaults]` of the fleet file: what its motors' files have in common
 
 
-def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
+def complete(own: Document, defaults: Document, name: str) -> dict[str, Any]:
     """Return a motor's file with the defaults where it says nothing; `name` is the file's.
 
     Tables are merged key by key; a channel's that names its source or a constant stands alone.
@@ -292,15 +292,15 @@ def completed(own: Document, defaults: Document, name: str) -> dict[str, Any]:
     {'oil': 'vg46', 'logs': {'files': ['W1/*']}}
     """
     known = own.get("name_in_log")
-    return _merged(own, named(defaults, known if isinstance(known, str) and known else name))
+    return _merge(own, with_name(defaults, known if isinstance(known, str) and known else name))
 
 
-def _merged(own: Document, defaults: Document) -> dict[str, Any]:
+def _merge(own: Document, defaults: Document) -> dict[str, Any]:
     merged = dict(defaults)
     for key, value in own.items():
         below = defaults.get(key)
         is_part = isinstance(value, Mapping) and isinstance(below, Mapping) and not _is_whole(value)
-        merged[key] = _merged(value, below or {}) if is_part else value
+        merged[key] = _merge(value, below or {}) if is_part else value
     return merged
 
 
@@ -309,12 +309,12 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, Mapping) and bool({"source", "constant"} & value.keys())
 
 
-def named(value: Any, name: str) -> Any:
+def with_name(value: Any, name: str) -> Any:
     """Return a table, list or text with a motor's name in the mark's place."""
     if isinstance(value, Mapping):
-        return {key: named(inner, name) for key, inner in value.items()}
+        return {key: with_name(inner, name) for key, inner in value.items()}
     if isinstance(value, list):
-        return [named(inner, name) for inner in value]
+        return [with_name(inner, name) for inner in value]
     return value.replace(NAME_MARK, name) if isinstance(value, str) else value
 
 

@@ -283,7 +283,7 @@ def record_night(night: DemoNight) -> Recording:
         for place, name in enumerate(sorted(file.channels)):
             delays[name] = OWN_DELAY_US * place + rng.integers(0, OWN_JITTER_US, time_s.size)
             signals[name] = np.interp(time_s + 1e-6 * delays[name], time_s, signals[name])
-    values = {name: _logged(night, name, signal, rng) for name, signal in signals.items()}
+    values = {name: _log_channel(night, name, signal, rng) for name, signal in signals.items()}
     # The temperature is logged every second, and so is all that has a message of its own.
     is_first = np.diff(np.floor(time_s + 1e-6), prepend=-1.0) > 0.0
     for name in values:
@@ -384,7 +384,7 @@ def _signals(
     }
 
 
-def _logged(night: DemoNight, name: ChannelName, signal: FloatArray, rng: Rng) -> FloatArray:
+def _log_channel(night: DemoNight, name: ChannelName, signal: FloatArray, rng: Rng) -> FloatArray:
     """Return a channel as its sensor and the logger make it: noise, coarse steps, single faults."""
     channel, hours, size = night.spec.file.channels[name], night.plan.minutes / 60.0, signal.size
     noise, spike, error_value = SENSORS[name]

@@ -21,8 +21,8 @@ from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
-    placed,
-    written_as_numbers,
+    parse_numbers,
+    place_in_zone,
 )
 from pipeline.messages import counted
 from pipeline.units import canonical_unit, to_canonical
@@ -99,10 +99,10 @@ def raw_channel(
             channel.source,
         )
     value = _in_canonical_unit(name, channel, time_us, readings.raw)
-    return _frozen(RawChannel(time_us, value, readings.missing, unparsed, bad, readings.example))
+    return _freeze(RawChannel(time_us, value, readings.missing, unparsed, bad, readings.example))
 
 
-def _frozen(channel: RawChannel) -> RawChannel:
+def _freeze(channel: RawChannel) -> RawChannel:
     for array in (channel.time_us, channel.value, channel.missing, channel.bad_quality):
         if array is not None:
             array.flags.writeable = False
@@ -190,7 +190,7 @@ class Gathered:
     def stamps(self, zone: str) -> TimeStamps:
         """Return time stamps of all rows, which are given up."""
         stamps = WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
-        return placed(stamps, zone)
+        return place_in_zone(stamps, zone)
 
     def channels_at(
         self, places: Mapping[Any, tuple[Rows, NDArray[np.int64]]]
@@ -213,7 +213,7 @@ class Gathered:
         return {name: raw_channels[name] for name in self.channels}
 
 
-def judged(
+def drop_bad_stamps(
     path: Path, parts: Sequence[TimeStamps], name: str, latest_us: int
 ) -> tuple[list[TimeStamps], dict[str, int]]:
     """Return stamps without those in the future; counts of rows without a good time, by reason.
@@ -261,7 +261,7 @@ def judged(
 def no_samples() -> RawChannel:
     """Return a channel of which a file holds nothing."""
     none = np.empty(0, np.bool_)
-    return _frozen(RawChannel(np.empty(0, np.int64), np.empty(0), none, 0))
+    return _freeze(RawChannel(np.empty(0, np.int64), np.empty(0), none, 0))
 
 
 def without_rows_of_others(
@@ -284,7 +284,7 @@ def without_rows_of_others(
         # What a row says of a reading's quality counts though the reading is blank.
         rows = filled if channel.bad_quality is None else filled | channel.bad_quality
         stands_alone = 2 * np.count_nonzero(alone) > np.count_nonzero(filled)
-        apart[name] = _frozen(channel.rows(rows)) if stands_alone else channel
+        apart[name] = _freeze(channel.rows(rows)) if stands_alone else channel
     return apart
 
 
@@ -317,8 +317,8 @@ def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
     or after 2200; ``log_reader``: a channel's quality is asked for, and there is none.
     """
     counts = (samples[name].time_us for name in file.channels)
-    parts = [placed(written_as_numbers(count, "epoch_us"), "UTC") for count in counts]
-    stamps, refused = judged(file.path, parts, "microseconds since 1970", file.latest_us)
+    parts = [place_in_zone(parse_numbers(count, "epoch_us"), "UTC") for count in counts]
+    stamps, refused = drop_bad_stamps(file.path, parts, "microseconds since 1970", file.latest_us)
     channels: dict[str, RawChannel] = {}
     for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):
         own, readable = samples[name], stamp.readable

@@ -64,7 +64,7 @@ class RawChannel:
         )
 
     @staticmethod
-    def joined(parts: Sequence[RawChannel]) -> RawChannel:
+    def join(parts: Sequence[RawChannel]) -> RawChannel:
         """Return samples in turn; where a part says nothing of its quality, it is not bad."""
         marks = [part.bad_quality for part in parts]
         bad = [
@@ -219,7 +219,7 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
 
     Raises LogError: The file cannot be read, or not be trusted; codes in `docs/operations.md`.
     """
-    with _opened(path, logs, channels, latest_us) as (reader, file):
+    with _open(path, logs, channels, latest_us) as (reader, file):
         log = validate(reader.read(file), file.channels, file.latest_us)
     return _with_constants(log, channels)
 
@@ -232,7 +232,7 @@ def time_span(
     A CSV is taken to be in order, its first and last rows are looked at; an MCAP file says it in
     its summary, for all topics together. Errors as `read_log`; ``log_empty`` without samples.
     """
-    with _opened(path, logs, channels, latest_us) as (reader, file):
+    with _open(path, logs, channels, latest_us) as (reader, file):
         if reader.span is None:
             log = validate(reader.read(file), file.channels, file.latest_us)
             return span(path, log.stamps())
@@ -260,7 +260,7 @@ def _constant(name: str, channel: Channel, flow: RawChannel) -> RawChannel:
 
 
 @contextmanager
-def _opened(
+def _open(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> Iterator[tuple[Reader, LogFile]]:
     """Return a log's reader, and what it is given: the channels that a log holds, in their order.

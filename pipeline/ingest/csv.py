@@ -31,7 +31,7 @@ from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.cells import NUMBER_LIKE
 from pipeline.ingest.contract import LogFile, RawLog, Reader
 from pipeline.ingest.table import Columns, RawTable, require_columns, wanted_columns
-from pipeline.ingest.time_stamps import WrittenStamps, written
+from pipeline.ingest.time_stamps import WrittenStamps, parse_written
 
 MOST_CELLS = 2**14
 """Cells of a header, as many as a spreadsheet has; the parser takes 2 kB for each."""
@@ -102,7 +102,7 @@ def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
     head, last_rows = _Rows(file, times), _Rows(file, times)
     head.read(next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)))
     last_rows.go_on(head.names)
-    last_rows.read(repaired(tail[begin:end]))
+    last_rows.read(repair(tail[begin:end]))
     first, last = head.table.span(), last_rows.table.span()
     return min(first[0], last[0]), max(first[1], last[1])
 
@@ -318,7 +318,7 @@ def _stamps(logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
     if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
         columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
-    return written(columns, logs.time_format)
+    return parse_written(columns, logs.time_format)
 
 
 def _readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
@@ -373,7 +373,7 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
     There is at least one piece. The last is what stands behind the last line end, if anything.
     Raises LogError for what is no text, in another encoding, too large, or cannot be unpacked.
     """
-    pieces, begin = _decoded(path, unpacked(path, piece), encoding), b""
+    pieces, begin = _decode(path, unpack(path, piece), encoding), b""
     while len(begin) < 4 and (data := next(pieces, None)) is not None:
         begin += data
     rest = list[bytes]()  # of a line whose end is not there yet
@@ -381,24 +381,24 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[bytes]
         newline = text.rfind(b"\n")
         end = max(newline, text.rfind(b"\r", newline + 1)) + 1
         if end:
-            yield repaired(b"".join([*rest, text[:end]]))
+            yield repair(b"".join([*rest, text[:end]]))
             rest = []
         if end < len(text):
             rest.append(text[end:])
         if sum(map(len, rest)) > LONGEST_LINE:
             raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
     last = b"".join(rest)
-    yield repaired(last) if last.strip() else b""
+    yield repair(last) if last.strip() else b""
 
 
-def repaired(data: bytes) -> bytes:
+def repair(data: bytes) -> bytes:
     """Return text with ASCII's minus, and a mark that is no number for what is not UTF-8."""
     if data.isascii():
         return data
     return data.decode(errors="replace").replace("\N{MINUS SIGN}", "-").encode()
 
 
-def unpacked(path: Path, piece: int) -> Iterator[bytes]:
+def unpack(path: Path, piece: int) -> Iterator[bytes]:
     """Yield bytes of the text in pieces; errors as of `read_lines`."""
     size, total = path.stat().st_size, 0
     with path.open("rb") as file:
@@ -409,7 +409,7 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
             raise LogError("log_not_csv", path, how)
         # Up to the end of a line, where that is near: it need not be joined to the next piece.
         plain = iter(lambda: file.read(piece) + file.readline(_LINE), b"")
-        for data in plain if packer is None else _inflated(path, file, packer, piece):
+        for data in plain if packer is None else _inflate(path, file, packer, piece):
             total += len(data)
             if total > LARGEST_TEXT:
                 how = f"there are over {LARGEST_TEXT} bytes of text: split it, or use Parquet"
@@ -423,7 +423,7 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
             yield data
 
 
-def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[bytes]:
+def _inflate(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[bytes]:
     # Not the zstandard package's reader: it takes a cut file for whole.
     try:
         with pa.CompressedInputStream(pa.PythonFile(file, "r"), packer) as stream:
@@ -439,7 +439,7 @@ def _inflated(path: Path, file: BinaryIO, packer: str, piece: int) -> Iterator[b
         raise LogError("log_damaged", path, how) from error
 
 
-def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
+def _decode(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[bytes]:
     """Yield pieces in UTF-8; half a character at the end is left to the last, cut row."""
     if _is_utf8(encoding):
         yield from pieces

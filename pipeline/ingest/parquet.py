@@ -22,7 +22,7 @@ from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.cells import is_number, is_text
 from pipeline.ingest.contract import LogFile, RawLog, Reader
 from pipeline.ingest.table import Columns, RawTable, require_columns, wanted_columns
-from pipeline.ingest.time_stamps import WrittenStamps, written
+from pipeline.ingest.time_stamps import WrittenStamps, parse_written
 
 MOST_ROWS = 2**27
 """Two weeks at 100 Hz. A file of a few kilobytes may claim, and decode to, any number of rows."""
@@ -45,21 +45,21 @@ _MAGIC = b"PAR1"
 
 def _read(file: LogFile) -> RawLog:
     """Read the wanted columns of a Parquet file."""
-    return _gathered(file, wanted_columns(file)).log({})
+    return _gather(file, wanted_columns(file)).log({})
 
 
 def _span(file: LogFile) -> tuple[int, int]:
     """Return first and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    return _gathered(file, Columns(wanted_columns(file).time)).span()
+    return _gather(file, Columns(wanted_columns(file).time)).span()
 
 
-def _gathered(file: LogFile, columns: Columns) -> RawTable:
+def _gather(file: LogFile, columns: Columns) -> RawTable:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
     path, logs = file.path, file.logs
     table = RawTable(file, columns, partial(_stamps, file), lambda _, cells: readings_of(cells))
-    with opened(path) as opened_file:
+    with open_parquet(path) as opened_file:
         kinds = kinds_of(opened_file)
         require_columns(path, kinds.names, columns.all)
         for name in columns.numbers:
@@ -79,7 +79,7 @@ def _gathered(file: LogFile, columns: Columns) -> RawTable:
         if not texts:
             _add_rows(table, path, opened_file, columns.all)
             return table
-    with opened(path, texts) as opened_file:
+    with open_parquet(path, texts) as opened_file:
         _add_rows(table, path, opened_file, columns.all)
     return table
 
@@ -88,7 +88,7 @@ def _add_rows(table: RawTable, path: Path, file: pq.ParquetFile, columns: Sequen
     """Add the rows of a file to a table of its columns."""
     for batch in _batches(path, file, list(columns)):
         cells = flat(pa.Table.from_batches([batch]))
-        parts = {name: decoded(path, name, cells[name].chunk(0)) for name in columns}
+        parts = {name: decode(path, name, cells[name].chunk(0)) for name in columns}
         table.add({name: pa.chunked_array([part]) for name, part in parts.items()})
 
 
@@ -141,11 +141,11 @@ def _stamps(file: LogFile, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
             + ", ".join((*EPOCH_UNITS, EXCEL_DAYS)),
             logs.time,
         )
-    return written(columns, logs.time_format)
+    return parse_written(columns, logs.time_format)
 
 
 @contextmanager
-def opened(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
+def open_parquet(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
     """Open a file, some columns of which are read as dictionaries.
 
     PyArrow's errors, now or while it is read, become a `LogError`.
@@ -208,7 +208,7 @@ def text_paths(schema: pa.Schema) -> list[str]:
     return [field.name for field in schema if is_text(field.type)]
 
 
-def decoded(path: Path, name: str, column: pa.Array) -> pa.Array:
+def decode(path: Path, name: str, column: pa.Array) -> pa.Array:
     """Return a column without a dictionary.
 
     Raises LogError: ``log_too_large``: its text is longer than any of a log.

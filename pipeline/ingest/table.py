@@ -19,7 +19,7 @@ from pipeline.ingest.assembly import (
     Gathered,
     Growing,
     Readings,
-    judged,
+    drop_bad_stamps,
     no_samples,
     raw_log,
     without_rows_of_others,
@@ -223,5 +223,5 @@ class RawTable:
         here = f"; here is {stamps.example[:40]!r}" if stamps.example else ""
         name = f"{logs.time!r} in format {logs.time_format} (such as "
         name += f"{example_of(logs.time_format)}{here})"
-        (past,), refused = judged(self.file.path, [stamps], name, self.file.latest_us)
+        (past,), refused = drop_bad_stamps(self.file.path, [stamps], name, self.file.latest_us)
         return past, refused

@@ -18,7 +18,7 @@ import polars as pl
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, parsed
+from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, parse_stamps
 from pipeline.ingest.cells import is_text, nulls
 
 EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
@@ -75,7 +75,7 @@ def example_of(time_format: str) -> str:
     return _EXAMPLE.replace(tzinfo=UTC).strftime(time_format)
 
 
-def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
+def parse_written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
     """Return time stamps of a column of time, or of dates and of times of day; null: a blank."""
     column = columns[-1]
     if len(columns) > 1:
@@ -88,7 +88,7 @@ def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStam
         return _from_timestamps(column)
     if not is_text(column.type):
         blank = np.nan if pa.types.is_floating(column.type) else 0
-        return written_as_numbers(column.fill_null(blank).to_numpy(), time_format)
+        return parse_numbers(column.fill_null(blank).to_numpy(), time_format)
     texts = column.cast(pa.string())
     stamps = _from_text(texts, time_format)
     strange = np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]
@@ -114,13 +114,13 @@ def _from_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
         return WrittenStamps(time_us, np.where(is_whole, exact.kind, stamps.kind))
     if ",%f" in time_format:
         cells = cells.str.replace_all(",", ".", literal=True)
-    times = parsed(cells, time_format)
+    times = parse_stamps(cells, time_format)
     kind = WITH_ZONE if "%z" in time_format else _LOCAL
     time_us = times.to_physical().fill_null(0).to_numpy()
     return WrittenStamps(time_us, _kinds(times.is_not_null().to_numpy(), kind))
 
 
-def written_as_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
+def parse_numbers(numbers: Numbers, time_format: str) -> WrittenStamps:
     """Return time stamps of numbers, nan for a blank; none is one if the format is of text."""
     stamps = _from_numbers(numbers, time_format)
     strange = numbers[np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]].tolist()
@@ -196,7 +196,7 @@ def _from_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     return WrittenStamps(np.where(fits, counts, 0) * per_unit, _kinds(readable & fits, kind))
 
 
-def placed(stamps: WrittenStamps, zone: str) -> TimeStamps:
+def place_in_zone(stamps: WrittenStamps, zone: str) -> TimeStamps:
     """Return all stamps of a log in UTC, in their order; local ones are on the clocks of the zone.
 
     Where a clock change gives an hour twice, stamps belong to its first pass until they step back

@@ -184,7 +184,7 @@ def settle_rises(fleet: Fleet, state: StateDatabase, rises: Mapping[str, Row]) -
     with locked(fleet.output / "look"):
         open_outbox(state, [receiver.name for receiver in receivers], OF_INTRADAY)
         for spec in specs:
-            row = _settled(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
+            row = _settle(state, spec, decisions[spec.motor_id], rises[spec.motor_id])
             publish_rows(state, [] if row is None else [row], _run_id(spec))
         _deliver(fleet, state, receivers)
 
@@ -198,7 +198,7 @@ def _deliver(fleet: Fleet, state: StateDatabase, receivers: Sequence[Receiver]) 
         log.warning("intraday check: %s; the next check delivers it", error)
 
 
-def _settled(
+def _settle(
     state: StateDatabase, spec: MotorSpec, decisions: Sequence[Decision], last: Row
 ) -> Row | None:
     """Return the row by which a published night settles a rise; None: none says anything yet."""

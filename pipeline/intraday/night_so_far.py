@@ -20,7 +20,7 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.config.settings import BLOCK_S
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.logs.files import reaches_us, slice_night, spanned, stat_log
+from pipeline.logs.files import reaches_us, slice_night, stat_log, with_span
 from pipeline.logs.finding import find_logs
 from pipeline.logs.processed import FileRecord
 from pipeline.night.column_change import COLUMNS, USUAL_NIGHTS, column_change, usual_readings
@@ -35,7 +35,7 @@ from pipeline.night.statistics import BLOCK_COLUMNS, block_frame, night_statisti
 from pipeline.night.time_base import Insufficient
 from pipeline.schema import BLOCKS
 from pipeline.store.tables import read_rows
-from pipeline.trends.checkpoint import decoded, key_of
+from pipeline.trends.checkpoint import decode, key_of
 from pipeline.trends.course import Course, watch_settings
 from pipeline.trends.decisions import Decision
 from pipeline.trends.nights import read_blocks, read_nights
@@ -88,7 +88,7 @@ def _newest_logs(
         if before is not None and _state(before) == _state(record):
             record = before
         elif record.status == "ok":
-            record, is_new = spanned(record, path, spec, latest_us), True
+            record, is_new = with_span(record, path, spec, latest_us), True
         if record.last_us is not None:
             ends[path] = record.last_us
         elif record.message:
@@ -182,7 +182,7 @@ def nights_before(
 
     Raises Insufficient if there is none; StoreError if a published table is damaged.
     """
-    checkpoint, trends, last = decoded(content), trend_hash(spec, decisions), label - DAY
+    checkpoint, trends, last = decode(content), trend_hash(spec, decisions), label - DAY
     if checkpoint is None:
         raise Insufficient("", "the nightly run has not published a night yet")
     if checkpoint.key != key_of(trends):

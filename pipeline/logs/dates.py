@@ -14,7 +14,7 @@ from pathlib import Path
 from pipeline.clock import utc
 from pipeline.config.nights import DAY
 from pipeline.errors import LogError
-from pipeline.logs.files import failed, labels_of
+from pipeline.logs.files import failed_record, labels_of
 from pipeline.logs.processed import FileRecord
 
 # A night known from a file's name alone lies this near to those of the motor's other logs.
@@ -94,7 +94,7 @@ def without_misdated(records: Mapping[str, FileRecord]) -> dict[str, FileRecord]
     for name, days in odd.items():
         error = LogError("log_misdated", Path(name), misdated_message(records[name], days))
         bare = replace(records[name], first_us=None, last_us=None, nights=())
-        refused[name] = failed(bare, error)
+        refused[name] = failed_record(bare, error)
     return refused
 
 

@@ -44,11 +44,11 @@ def inspect_log(
         with reading(record.path, is_asked=True):
             record = replace(record, sha256=content_hash(path))
     except OSError as error:
-        return failed(record, _not_readable(path, error))
+        return failed_record(record, _not_readable(path, error))
     same = before if before is not None and before.sha256 == record.sha256 else None
     if same is None or same.is_ahead:
         with reading(record.path):
-            new = spanned(record, path, spec, latest_us)
+            new = with_span(record, path, spec, latest_us)
         if same is None or (new.status, new.last_us) != (same.status, same.last_us):
             return new
     seen = {name: getattr(record, name) for name in ("modified_ns", "inode", "changed_ns")}
@@ -72,7 +72,7 @@ def stat_log(name: str, path: Path) -> FileRecord:
     try:
         state = path.stat()
     except OSError as error:
-        return failed(FileRecord(name, 0, 0, None), _not_readable(path, error))
+        return failed_record(FileRecord(name, 0, 0, None), _not_readable(path, error))
     record = FileRecord(
         name,
         state.st_size,
@@ -84,7 +84,7 @@ def stat_log(name: str, path: Path) -> FileRecord:
     if not stat.S_ISREG(state.st_mode):
         # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
-        return failed(record, fault)
+        return failed_record(record, fault)
     return record
 
 
@@ -92,7 +92,7 @@ def _not_readable(path: Path, error: OSError) -> LogError:
     return LogError("log_not_readable", path, f"{error.strerror}; check that it may be read")
 
 
-def spanned(
+def with_span(
     record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
     """Return record of a file with its nights; ``failed`` if they cannot be read."""
@@ -101,13 +101,15 @@ def spanned(
         first, last = time_span(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
-            return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
+            return with_coverage(record, read_log(path, file.logs, file.channels, latest_us), spec)
     except LogError as error:
         if error.code == "log_empty":
             # One without a row is as good as any; one without a byte is not.
             with suppress(LogError):
-                return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
-        return failed(record, error)
+                return with_coverage(
+                    record, read_log(path, file.logs, file.channels, latest_us), spec
+                )
+        return failed_record(record, error)
     nights = spec.settings.nights
     labels = nights_between(night_of(first, nights), night_of(last, nights))
     return replace(
@@ -115,13 +117,13 @@ def spanned(
     )
 
 
-def failed(record: FileRecord, error: LogError) -> FileRecord:
+def failed_record(record: FileRecord, error: LogError) -> FileRecord:
     """Return record of a file that cannot be read, or is being written and left to the next run."""
     status = "growing" if error.code == "log_growing" else "failed"
     return replace(record, status=status, error_code=error.code, message=error.message)
 
 
-def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
+def with_coverage(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     """Return the record of a file that was read: its span, nights, and notes on skipped cells.
 
     Raises LogError: ``log_empty``: there are rows, and all cells of all channels in them are blank.
@@ -210,7 +212,7 @@ def slice_night(
                 shared[key] = rows, time_us[rows]
             parts.setdefault(name, []).append(channel.rows(*shared[key]))
     return {
-        name: pieces[0] if len(pieces) == 1 else RawChannel.joined(pieces)
+        name: pieces[0] if len(pieces) == 1 else RawChannel.join(pieces)
         for name, pieces in parts.items()
     }
 

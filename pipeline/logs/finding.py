@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.errors import LogError, one_line
-from pipeline.logs.files import change_of, failed, inspect_log, stat_log
+from pipeline.logs.files import change_of, failed_record, inspect_log, stat_log
 from pipeline.logs.processed import FileRecord
 from pipeline.messages import counted
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -162,7 +162,7 @@ def logs_below(folder: Path, known: Collection[Path] = ()) -> Iterator[Path]:
         yield from (path for path in logs if path in live and path.is_file())
 
 
-def unclaimed(fleet: Fleet) -> tuple[str, ...]:
+def unclaimed_logs(fleet: Fleet) -> tuple[str, ...]:
     """Return logs in the folder of the logs that no motor claims, by their path in it."""
     if fleet.log_url:
         return ()
@@ -275,10 +275,10 @@ class FolderLogs:
         try:
             path = self.path(name)
         except LogError as error:
-            return failed(record, error)
+            return failed_record(record, error)
         new = inspect_log(record, path, before, self._spec, self._latest_us)
         why = self.change_of(record)
-        return new if why is None else failed(new, why)
+        return new if why is None else failed_record(new, why)
 
     def _seen(self, name: str) -> FileRecord:
         """Return the record of a log that is not opened."""

@@ -18,7 +18,7 @@ from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.logs.dates import has_no_span, with_known_nights, without_misdated
-from pipeline.logs.files import covered, failed, labels_of, reaches_us
+from pipeline.logs.files import failed_record, labels_of, reaches_us, with_coverage
 from pipeline.logs.finding import FolderLogs, logs_of, require_answer
 from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive
@@ -94,7 +94,7 @@ class MotorLogs:
         """Return the record of a file that is to be tried again by the next run."""
         loss = self._silent[record.path]
         error = LogError(loss.code, Path(record.path), loss.how.removeprefix(f"{record.path} "))
-        return failed(replace(record, sha256=None), error)
+        return failed_record(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
         """Return the former record of a file, if it was read with the same settings."""
@@ -208,11 +208,11 @@ class MotorLogs:
             require_answer(name, path)
             with reading(name):
                 content = read_log(path, file.logs, file.channels, self._latest_us)
-            new = covered(record, content, self._spec)
+            new = with_coverage(record, content, self._spec)
         except LogError as error:
-            new = failed(record, error)
+            new = failed_record(record, error)
         why = self._source.change_of(record)
-        new = new if why is None else failed(record, why)
+        new = new if why is None else failed_record(record, why)
         self.n_moved += (new.nights, new.status) != (record.nights, record.status)
         self.files[name] = new
         if new.status != "ok":

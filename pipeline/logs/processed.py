@@ -186,13 +186,13 @@ def write_change(state: StateDatabase, motor_id: str, change: ProcessedChange) -
             insert = f"INSERT OR REPLACE INTO {table} (motor_id, {', '.join(columns)})"
             present = {str(name): record for name, record in changed.items() if record is not None}
             rows = (
-                (motor_id, key, *(_stored(getattr(record, name)) for name in columns[1:]))
+                (motor_id, key, *(_as_stored(getattr(record, name)) for name in columns[1:]))
                 for key, record in present.items()
             )
             state.write_all(f"{insert} VALUES ({places})", rows)
 
 
-def _stored(value: Any) -> Any:
+def _as_stored(value: Any) -> Any:
     """Return a value of a record as its column has it."""
     if isinstance(value, Mapping):
         return json.dumps(value, default=methodcaller("isoformat"))

@@ -206,7 +206,7 @@ def clean_channel(
         int(np.count_nonzero(~here.missing[rows]))
         for rows in (order.late, order.backward, order.repeated)
     )
-    cells = _corrected(here.rows(order.rows, order.time_us), rules)
+    cells = _correct_times(here.rows(order.rows, order.time_us), rules)
     # A day at 100 Hz is not to be in memory twice.
     del raw, here
     readings_us = cells.time_us if not cells.missing.any() else cells.time_us[~cells.missing]
@@ -223,7 +223,7 @@ def clean_channel(
         carried = _carried_over(early, rules, night_start_us - longest_gap_us)
         n_carried = len(carried.time_us)
         if n_carried:
-            samples = RawChannel.joined([carried, samples])
+            samples = RawChannel.join([carried, samples])
             steps = steps.with_period(samples.time_us)
     time, value, masks = _judged_alone(samples, rules, longest_gap_us)
     if time is not samples.time_us:
@@ -263,7 +263,7 @@ def clean_channel(
     )
 
 
-def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
+def _correct_times(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     """Return samples at the times at which they hold."""
     return replace(raw, time_us=raw.time_us + rules.shift_us) if rules.shift_us else raw
 
@@ -295,7 +295,7 @@ def _carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) ->
     rows = np.flatnonzero(says) if rules.on_change else np.empty(0, np.intp)
     # Of two at the same time the first counts, as within the night.
     last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
-    return _corrected(early.rows(last), rules)
+    return _correct_times(early.rows(last), rules)
 
 
 def _judged_alone(

@@ -121,7 +121,7 @@ def column_change(
         for other_unit in _other_units(spec, model_flow, usual, now, is_of_others=is_of_others)
     ]
     likeliest = min(units, key=itemgetter(0), default=(0.0, None))[1]
-    return _swapped(usual, now) or likeliest or _other_gauge(spec, usual, now)
+    return _swapped_columns(usual, now) or likeliest or _other_gauge(spec, usual, now)
 
 
 def _model_flow(
@@ -135,7 +135,7 @@ def _model_flow(
     return None
 
 
-def _swapped(usual: Mapping[str, float], now: Mapping[str, float]) -> Change | None:
+def _swapped_columns(usual: Mapping[str, float], now: Mapping[str, float]) -> Change | None:
     """Return a pair of columns that changed places, or None; the flow is as before."""
     if _factor(now[FLOW], usual[FLOW]) > FAR:
         return None

@@ -147,7 +147,7 @@ def fit_stored_blocks(
         free, samples = motor.with_free_standard(), samples.with_free_known(*scale_of(motor))
         made = fit_blocks(samples, free)
     fitted, excitation = made.fit, samples.excitation
-    identification = made.identified(excitation)
+    identification = made.identify(excitation)
     where = dict(zip((REFERENCE, OWN), at, strict=True))
     misfits = made.misfit, stated.misfit
     errors = _errors(made, identification, excitation, misfits, where, budget)
@@ -358,12 +358,12 @@ def _of(spec: MotorSpec, name: str) -> ChannelTolerance:
             for channel in channels.values()
         ]
     else:
-        parts = [_assumed(key, channel) for key, channel in channels.items()]
+        parts = [_assumed_tolerance(key, channel) for key, channel in channels.items()]
     offset, gain = (float(np.hypot.reduce(part)) for part in zip(*parts, strict=True))
     return ChannelTolerance(offset, gain)
 
 
-def _assumed(name: str, channel: Channel) -> tuple[float, float]:
+def _assumed_tolerance(name: str, channel: Channel) -> tuple[float, float]:
     """Return offset and gain by the kind of sensor; of the speed none is assumed."""
     if name in PRESSURES:
         highest = channel.valid_range[1] if channel.valid_range else PRESSURE_RANGE_BAR

@@ -130,10 +130,10 @@ def fit_night(
     else:
         own = night_row(spec, night.date, data | of_fit(rows["fits"]), OK)
         return NightOutcome(night.date, OK, None, None, {"nights": [own], **rows}, seconds)
-    return unfitted(spec, night.date, status, reason, code, data, rows, seconds)
+    return unfitted_outcome(spec, night.date, status, reason, code, data, rows, seconds)
 
 
-def unfitted(
+def unfitted_outcome(
     spec: MotorSpec,
     night: dt.date,
     status: str,

@@ -49,13 +49,13 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
         return _mean_of_its_period(channel, grid_us)
     on_change = channel.rules.on_change
     if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
-        return _averaged(channel, grid_us, period_us)
-    return _interpolated(channel, grid_us, period_us)
+        return _average(channel, grid_us, period_us)
+    return _interpolate(channel, grid_us, period_us)
 
 
 # A refused value may be infinite.
 @np.errstate(over="ignore", invalid="ignore")
-def _interpolated(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
+def _interpolate(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     """Return samples as they are at their own times lines between them; not beside refused ones."""
     time = channel.time_us
     # A zero has no sign here, at samples as between them.
@@ -129,7 +129,7 @@ def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> OnGrid:
     return OnGrid(np.where(present, channel.value[nearest], np.nan), present, silent)
 
 
-def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
+def _average(channel: CleanChannel, grid_us: Times, period_us: int) -> OnGrid:
     n = len(grid_us)
     cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
     within = (cell >= 0) & (cell < n)
@@ -182,7 +182,7 @@ def delay_on_grid_s(
     return drain_line_delay_s(average, settings.line_volume_l)
 
 
-def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
+def shift(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
     """Return a channel of the time base whose element i is its value at i + steps[i]."""
     known = np.isfinite(steps)
     place = np.arange(len(value)) + np.where(known, steps, 0.0)
@@ -209,7 +209,5 @@ def delay_inputs(
     usable = np.where(refused, np.nan, tau)
     new_values, new_present = dict(values), dict(present)
     for name in DELAYED:
-        new_values[name], new_present[name] = shifted(
-            values[name], present[name], -usable / period_s
-        )
+        new_values[name], new_present[name] = shift(values[name], present[name], -usable / period_s)
     return new_values, new_present, refused, tau

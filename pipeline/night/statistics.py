@@ -54,7 +54,9 @@ class NightStatistics(CompressedSamples):
         """Return the samples with the oil as measured, by block; None: as on its data sheet."""
         if ratios is None:
             return self
-        scale = np.repeat(driven(columns, ratios), [block.n for block in self.blocks], axis=0)
+        scale = np.repeat(
+            viscosity_factors(columns, ratios), [block.n for block in self.blocks], axis=0
+        )
         z = self.z * scale
         unsmoothed = z if self.unsmoothed is self.z else self.unsmoothed * scale
         return replace(self, z=z, unsmoothed=unsmoothed)
@@ -163,7 +165,7 @@ def _without_viscosity(why: str) -> Insufficient:
     return Insufficient(INSUFFICIENT_DATA, f"{why}; {how}")
 
 
-def driven(columns: Sequence[str], ratios: Array) -> Array:
+def viscosity_factors(columns: Sequence[str], ratios: Array) -> Array:
     """Return factors on blocks' columns, shape (b, c), by measured viscosity over the sheet's."""
     is_driven = np.array([name not in ("one", "measured") for name in columns])
     return np.where(is_driven, 1.0 / ratios[:, None], 1.0)
@@ -219,7 +221,7 @@ class StoredBlocks:
             celsius = rows["mean_temperature_c"].to_numpy()
             ratios = _viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
         if ratios is not None:
-            factors = factors * driven(columns, ratios)[:, None]
+            factors = factors * viscosity_factors(columns, ratios)[:, None]
         return cls(rows, factors, ratios)
 
     def factor_of(self, part: str) -> Array:

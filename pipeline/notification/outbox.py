@@ -112,13 +112,13 @@ def open_outbox(state: StateDatabase, names: Sequence[str], topic: Topic = OF_AL
         for name in set(names) - known:
             insert = "INSERT INTO queues (topic, receiver, notified_since) VALUES (?, ?, ?)"
             state.write(insert, of, name, now().isoformat())
-            _note_new(state, name, topic, _published(state.output, topic), since="")
+            _note_new(state, name, topic, _published_rows(state.output, topic), since="")
 
 
 def pass_over(state: StateDatabase, ids: Collection[str]) -> None:
     """Let rows of `alarms` that are being published be sent to nobody, by their `id`."""
     if ids:
-        rows = _published(state.output, OF_ALARMS)
+        rows = _published_rows(state.output, OF_ALARMS)
         silent = {key: row for key, row in rows.items() if row["id"] in ids}
         for (name,) in state.rows("SELECT receiver FROM queues WHERE topic = ?", ALARMS.name):
             _note_new(state, name, OF_ALARMS, silent, since="")
@@ -128,7 +128,7 @@ def rename_motor(state: StateDatabase, old: str, new: str) -> None:
     """Know a motor's rows by its new name, as which they are published: what waits still does."""
     for topic in (OF_ALARMS, OF_INTRADAY):
         keys = []
-        for key, row in _published(state.output, topic).items():
+        for key, row in _published_rows(state.output, topic).items():
             if row["motor_id"] == new:
                 # An `id` begins with the motor's name.
                 names = {"motor_id": old, "id": old + row.get("id", "").removeprefix(new)}
@@ -145,7 +145,7 @@ def deliver(
     for long. After a StoreError deliveries may be repeated.
     """
     faults = []
-    rows = _published(state.output, topic) if receivers else {}
+    rows = _published_rows(state.output, topic) if receivers else {}
     for receiver in receivers:
         mine = topic.table.name, receiver.name
         _note_new(state, receiver.name, topic, rows, since=now().isoformat())
@@ -201,7 +201,7 @@ def backlogs(output: Path, receivers: Sequence[Receiver]) -> tuple[Backlog, ...]
         )
 
 
-def _published(output: Path, topic: Topic) -> dict[str, Row]:
+def _published_rows(output: Path, topic: Topic) -> dict[str, Row]:
     """Return published rows sent, by a hash of their key; those of a damaged file are missing."""
     rows: list[Row] = []
     for path in files_of(output, topic.table):

@@ -74,7 +74,7 @@ class Mail:
     def take(self, delivery: Delivery) -> None:
         """Send it; refused if the server refuses any of the addresses."""
         message = message_of(delivery, self.settings)
-        password = filled("email.password", self.settings.password)
+        password = fill_in("email.password", self.settings.password)
         talk(lambda: self._send(message, password), _mail_fault, self.deadline_s)
 
     def _send(self, message: EmailMessage, password: str) -> None:
@@ -188,13 +188,13 @@ class WebHook:
         now = int(time.time())
         headers = {
             "User-Agent": "motor-leakage",
-            **{name: filled("webhook_headers", text) for name, text in self.headers.items()},
+            **{name: fill_in("webhook_headers", text) for name, text in self.headers.items()},
             "Content-Type": "application/json",
             "webhook-id": delivery.id,
             "webhook-timestamp": str(now),
         }
         if self.secret:
-            key = signing_key(filled("webhook_secret", self.secret))
+            key = signing_key(fill_in("webhook_secret", self.secret))
             headers["webhook-signature"] = signature(key, delivery.id, now, delivery.content)
         request = Request(self.url, delivery.content, headers, method="POST")  # noqa: S310
         post = partial(build_opener(_Nowhere).open, request, timeout=2 * self.deadline_s)
@@ -284,7 +284,7 @@ def fault_words(reason: object) -> str:
     return type(reason).__name__
 
 
-def filled(setting: str, text: str) -> str:
+def fill_in(setting: str, text: str) -> str:
     """Return a value of `[alarms]` with its environment variables.
 
     Raises UndeliveredError if any is not set, or holds characters that no header may; its content

@@ -123,7 +123,7 @@ def watch_chart(
         Mark(event.date, ": ".join(filter(None, (plain(event.kind), event.note))), GREY)
         for event in events
     ]
-    marks += _detected(motor, changes)
+    marks += _detections(motor, changes)
     return Chart(
         motor.stamps,
         _shown(panels),
@@ -194,7 +194,7 @@ def _gap_panel(motor: MotorHistory, declared: Iterable[str]) -> Panel:
     paths = [name.removeprefix(GAP) for name in motor.trends if name.startswith(GAP)]
     places = path_places([*declared, *paths])
     courses = {path: motor.course(GAP + path) for path in sorted(paths, key=places.__getitem__)}
-    lines = tuple(_styled(plain(path), places[path], *of) for path, of in courses.items())
+    lines = tuple(_style(plain(path), places[path], *of) for path, of in courses.items())
     ends = _ends([np.zeros(1), *(line.value for line in lines)], 5.0)
     return Panel("Change of the gap, night by night", "%", lines, ends, 150)
 
@@ -294,7 +294,7 @@ def _evidence_panel(motor: MotorHistory) -> Panel | None:
     return Panel("Evidence of a change", unit, lines, (-2.0, top), 110)
 
 
-def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
+def _detections(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
     """Yield nights in which a change was detected, by its last cause, or an alarm began."""
     detected = motor.rows.filter(pl.col("detected_on").is_not_null(), ~pl.col("still_rising"))
     last = detected.unique("detected_on", keep="last", maintain_order=True)
@@ -306,7 +306,7 @@ def _detected(motor: MotorHistory, changes: Iterable[Row]) -> Iterable[Mark]:
             yield Mark(row["night"], "alarm", VERMILION)
 
 
-def _styled(name: str, place: int, value: Array, lower: Array, upper: Array) -> Line:
+def _style(name: str, place: int, value: Array, lower: Array, upper: Array) -> Line:
     """Return line in the look of a place; dash and mark differ too, to be distinguished in grey."""
     dashes = ("solid", "dash", "dot", "dashdot", "longdash")
     symbols = ("circle", "square", "diamond", "triangle-up", "x")

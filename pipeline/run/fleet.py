@@ -97,7 +97,7 @@ def run_fleet(
     with locked(output):
         require_own_output(fleet)
         with Heartbeat(output, len(request.specs), last_good_run(output)) as heartbeat:
-            with _prepared(request, heartbeat, receivers) as run:
+            with _prepare(request, heartbeat, receivers) as run:
                 watched(run.workers.marks)
                 run.fit_motors(progress)
                 run.publish_nights()
@@ -123,7 +123,7 @@ def _require_space(output: Path) -> None:
 
 
 @contextmanager
-def _prepared(
+def _prepare(
     request: RunRequest, heartbeat: Heartbeat, receivers: Sequence[Receiver]
 ) -> Iterator[_Run]:
     """Make an output ready, and yield the run over it with its workers."""

@@ -40,7 +40,7 @@ from pipeline.night.fit_night import (
     fit_night,
     refit,
     refit_read,
-    unfitted,
+    unfitted_outcome,
 )
 from pipeline.night.sample_rows import strange_flow
 from pipeline.night.statistics import BLOCK_COLUMNS
@@ -142,7 +142,7 @@ class MotorRun(NightPlan):
                 plan = self.open_nights()
         for label in self.holes():
             reason = "no log covers this night"
-            self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
+            self.done[label] = unfitted_outcome(self.spec, label, NO_NEW_DATA, reason)
             self.records[label] = NightRecord(NO_NEW_DATA, row=self.done[label].rows["nights"][0])
         sign_of_life("")
         with self.timed("store_s"):
@@ -178,7 +178,9 @@ class MotorRun(NightPlan):
             self.stay(label, step.reason)
             return None
         if given_up := self.lost_nights.get(label):
-            return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
+            return unfitted_outcome(
+                self.spec, label, FAILED, legible(given_up.how), code=given_up.code
+            )
         sign_of_life(label.isoformat(), len(self.done), self.n_left)
         try:
             if step.work is Work.REFIT:
@@ -195,7 +197,7 @@ class MotorRun(NightPlan):
         except (Exception, PanicException) as error:  # a night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             loss = loss_of(error)
-            return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
+            return unfitted_outcome(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
     def _unless_less(self, outcome: NightOutcome) -> NightOutcome | None:
         """Return outcome of a night that was read; None if what is published was made from more."""
@@ -273,7 +275,7 @@ class MotorRun(NightPlan):
             read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
         broken = [file for name in names if (file := self.logs.files[name]).status != "ok"]
         if broken:
-            return unfitted(
+            return unfitted_outcome(
                 self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
             )
         contents = [content for content in read if content is not None]
@@ -282,7 +284,7 @@ class MotorRun(NightPlan):
         del read, contents
         self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
-            return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
+            return unfitted_outcome(self.spec, label, NO_NEW_DATA, "no log covers this night")
         newest = max(filter(self.task.wants, self.logs.present()), default=label)
         if self.task.first_look is None or self.nights_before or label < newest:
             return self._unless_changed(fit_night(self.fitted_spec, here, channels))
@@ -315,7 +317,7 @@ class MotorRun(NightPlan):
     def _refused(self, outcome: NightOutcome, why: str) -> NightOutcome:
         """Return a night that fails with a change of columns or units."""
         rows = {"quality": outcome.rows.get("quality", [])}
-        return unfitted(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
+        return unfitted_outcome(self.spec, outcome.night, FAILED, why, "columns_changed", rows=rows)
 
     def _usual(self, label: dt.date) -> dict[str, float]:
         """Return medians of the last fitted nights before, or of the first after; empty if few."""

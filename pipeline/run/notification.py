@@ -213,12 +213,12 @@ def _family(name: str, words: str, fleet: str, samples: Iterable[Sample]) -> Ite
     yield f"# TYPE {name} gauge"
     for labels, value in samples:
         pairs = ",".join(
-            f'{key}="{_escaped(text)}"' for key, text in {"fleet": fleet, **labels}.items()
+            f'{key}="{_escape(text)}"' for key, text in {"fleet": fleet, **labels}.items()
         )
         yield f"{name}{{{pairs}}} {value!r}"
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     """Return a label's value.
 
     Examples

@@ -94,13 +94,13 @@ def _rename_rows(state: StateDatabase, staging: Path, old: str, new: str) -> Non
         if "motor_id" in table.schema:
             for path in files_of(state.output, table):
                 if MONTH_PREFIX in path.parent.name:
-                    publisher.change(table, path.stem, partial(_renamed, table, old, new))
+                    publisher.change(table, path.stem, partial(_rename, table, old, new))
     decisions = whole_file(state.output, DECISIONS)
     if decisions.exists():
-        publisher.whole(DECISIONS, _renamed(DECISIONS, old, new, read_table(decisions, DECISIONS)))
+        publisher.whole(DECISIONS, _rename(DECISIONS, old, new, read_table(decisions, DECISIONS)))
 
 
-def _renamed(table: Table, old: str, new: str, rows: pl.DataFrame) -> pl.DataFrame:
+def _rename(table: Table, old: str, new: str, rows: pl.DataFrame) -> pl.DataFrame:
     """Return rows of a file under the new name; of a night under both names those under the old."""
     is_old = pl.col("motor_id") == old
     moved = rows.filter(is_old).with_columns(motor_id=pl.lit(new))

@@ -18,12 +18,12 @@ from pipeline.ingest import RawChannel
 from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
 from pipeline.logs.files import (
     change_of,
-    failed,
+    failed_record,
     labels_of,
     reaches_us,
     slice_night,
-    spanned,
     stat_log,
+    with_span,
 )
 from pipeline.logs.finding import FolderLogs, logs_of
 from pipeline.logs.motor_logs import MotorLogs
@@ -214,12 +214,12 @@ def _by_its_ends(name: str, source: FolderLogs, spec: MotorSpec) -> FileRecord:
     try:
         path = source.path(name)
     except LogError as error:  # replaced or removed since it was listed
-        return failed(FileRecord(name, 0, 0, None), error)
+        return failed_record(FileRecord(name, 0, 0, None), error)
     record = stat_log(name, path)
     if record.status == "failed":
         return record
-    spanned_record, why = spanned(record, path, spec), change_of(record, path)
-    return spanned_record if why is None else failed(spanned_record, why)
+    spanned_record, why = with_span(record, path, spec), change_of(record, path)
+    return spanned_record if why is None else failed_record(spanned_record, why)
 
 
 def _file_faults(source: FolderLogs, records: Mapping[str, FileRecord]) -> Iterator[str]:

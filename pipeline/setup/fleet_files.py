@@ -23,7 +23,7 @@ from pipeline.clock import now, utc
 from pipeline.config import Channel, Fleet
 from pipeline.config.alarms import Alarms
 from pipeline.config.channels import PORT_PRESSURES
-from pipeline.config.loading import NAME_MARK, completed, named, validated
+from pipeline.config.loading import NAME_MARK, complete, validate, with_name
 from pipeline.config.logs import Logs
 from pipeline.config.settings import ReferenceConditions
 from pipeline.errors import LogError, UsageError
@@ -74,8 +74,7 @@ def fleet_files(
         _document(motor, *machine_of(motor, motor_type, oil, answers)) for motor in proposal.motors
     ]
     first, *others = (
-        _marked(document, _name(motor))
-        for motor, document in zip(proposal.motors, own, strict=True)
+        _mark(document, _name(motor)) for motor, document in zip(proposal.motors, own, strict=True)
     )
     shared = {
         key: value for key, value in first.items() if all(o.get(key) == value for o in others)
@@ -121,7 +120,7 @@ def _motor_text(motor: ProposedMotor, own: Document, shared: Document) -> str:
     """Return a motor's file, without what the defaults have; a channel's table stands alone."""
     head = {"motor_id": motor.motor_id}
     head |= {"name_in_log": _name(motor)} if _name(motor) != motor.motor_id else {}
-    known = named(shared, _name(motor))
+    known = with_name(shared, _name(motor))
     return _toml(
         head | {key: value for key, value in own.items() if not _is_said(value, known.get(key))}
     )
@@ -160,7 +159,7 @@ def added_files(
             continue
         own = _document(motor, *machine_of(motor, motor_type, oil, answers))
         text = _motor_text(motor, own, _flat(defaults))
-        whole = completed(tomllib.loads(text), defaults, motor.motor_id)
+        whole = complete(tomllib.loads(text), defaults, motor.motor_id)
         if motor.motor_id in ids or whole["logs"] != motor.logs:
             message = (
                 f"{motor.motor_id} does not fit the fleet's [defaults] or ids: write it by hand"
@@ -209,14 +208,12 @@ def _flat(document: Document) -> Document:
     return settings
 
 
-def _marked(value: Any, name: str) -> Any:
+def _mark(value: Any, name: str) -> Any:
     """Return texts with the mark in the place of a motor's name; a query is of all motors."""
     if isinstance(value, dict):
-        return (
-            value if "query" in value else {k: _marked(inner, name) for k, inner in value.items()}
-        )
+        return value if "query" in value else {k: _mark(inner, name) for k, inner in value.items()}
     if isinstance(value, list):
-        return [_marked(inner, name) for inner in value]
+        return [_mark(inner, name) for inner in value]
     return value.replace(name, NAME_MARK) if isinstance(value, str) else value
 
 
@@ -290,7 +287,7 @@ def reference(observed: Sequence[Observed]) -> dict[str, float]:
     for key, name in _REFERENCE.items():
         known = [value for observation in observed if (value := observation.typical.get(name))]
         rounded = {key: float(f"{median(known):.2g}")} if known else {}
-        if validated(ReferenceConditions, rounded, "", []):
+        if validate(ReferenceConditions, rounded, "", []):
             conditions |= rounded
     return conditions
 

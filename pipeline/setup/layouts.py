@@ -88,7 +88,7 @@ def kinds_of(
             alike |= by_template
     by_motor: dict[Parts, list[Parts]] = {}
     for template in alike:
-        by_motor.setdefault((*template[:-1], _unpacked(template[-1])), []).append(template)
+        by_motor.setdefault((*template[:-1], _unpack(template[-1])), []).append(template)
     in_folder = Counter(template[:-1] for template in by_motor)
     return [
         Kind(
@@ -107,7 +107,7 @@ def _without_word(template: Parts) -> Parts:
     return (*template[:-1], begin + mark + end)
 
 
-def _unpacked(name: str) -> str:
+def _unpack(name: str) -> str:
     """Return the name of a log without the suffix of its packing."""
     return re.sub(r"(?i)\.(?:gz|zst)$", "", name)
 

@@ -60,7 +60,7 @@ class Meaning:
 
 
 @cache
-def _known(table: str, key: str) -> re.Pattern[str]:
+def _known_words(table: str, key: str) -> re.Pattern[str]:
     """Return words of the vocabulary, with and without the marks on their letters."""
     words = {
         spelling for word in VOCABULARY[table][key].split() for spelling in _spelled(word.lower())
@@ -79,7 +79,7 @@ def _spelled(word: str) -> Iterator[str]:
 
 def is_in(words: Iterable[str], table: str, key: str) -> bool:
     """Return True if any word is of the vocabulary."""
-    return any(map(_known(table, key).fullmatch, words))
+    return any(map(_known_words(table, key).fullmatch, words))
 
 
 def words_of(name: str) -> tuple[str, ...]:

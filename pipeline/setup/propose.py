@@ -82,7 +82,7 @@ def propose(
     if not files:
         raise LogError("log_empty", source, _why_no_log(source))
     root = root or (source.resolve() if source.is_dir() else source.resolve().parent)
-    table_of = cache(partial(_sniffed, time=answers.get("time", "")))
+    table_of = cache(partial(_sniff, time=answers.get("time", "")))
     asked = Asked(answers)
     motors, faults, n_done = list[ProposedMotor](), list[str](), 0
     kinds = kinds_of(
@@ -115,7 +115,7 @@ def propose(
     return Proposal(root, tuple(_apart(motors)), questions, unused, tuple(faults), unneeded)
 
 
-def _sniffed(path: Path, time: str) -> Table | LogError:
+def _sniff(path: Path, time: str) -> Table | LogError:
     """Return a log as it is sniffed, or why it cannot be."""
     try:
         return sniff(path, time)
@@ -296,7 +296,7 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
             for name in readings
         ]
     signals = replace(signals, left_out=unread_columns(table))
-    motors = [motor for name, own in rows for motor in _grouped(signals, own, kind, name, asked)]
+    motors = [motor for name, own in rows for motor in _group(signals, own, kind, name, asked)]
     if motors:
         unused = columns_without_use(table, signals, list(several))
         asked.unused |= dict.fromkeys((*unused, *table.other_times))
@@ -317,7 +317,7 @@ def _of_readings(names: Cells) -> Cells:
 # The channels of a motor
 
 
-def _grouped(
+def _group(
     table: Table, logs: Mapping[str, Any], kind: Kind, log: str, asked: Asked
 ) -> Iterator[ProposedMotor]:
     """Yield motors whose columns, tags or fields there are; `log` names what none of them does."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from pipeline.config.channels import COUNTED, GOOD_QUALITY, PORT_PRESSURES, PULSES, TOTAL, Channel
 from pipeline.config.dialect import require_time_format
-from pipeline.config.loading import validated
+from pipeline.config.loading import validate
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.messages import plain
@@ -301,7 +301,7 @@ class Chooser:
         keys: dict[str, Any] = {}
         with suppress(tomllib.TOMLDecodeError):
             keys = tomllib.loads(f"keys = {{{answer}}}")["keys"]
-        answered = validated(Channel, {"source": "any", **keys}, "", [])
+        answered = validate(Channel, {"source": "any", **keys}, "", [])
         if answered is None or answered.unit not in (*UNITS[QUANTITIES[channel]], TOTAL, PULSES):
             expected = ", ".join((*units, f"keys of the channel, as {example}"))
             raise UsageError("answer", f"{key}: got {answer!r}; expected {expected}")

@@ -23,10 +23,10 @@ from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import cells as log_cells
 from pipeline.ingest.contract import readable
-from pipeline.ingest.csv import read_lines, unpacked, wide_encoding
+from pipeline.ingest.csv import read_lines, unpack, wide_encoding
 from pipeline.ingest.mcap.decoding import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap.log import Topic, read_topics
-from pipeline.ingest.parquet import decoded, flat, kinds_of, opened, text_paths
+from pipeline.ingest.parquet import decode, flat, kinds_of, open_parquet, text_paths
 from pipeline.setup.names import VOCABULARY, is_in, unit_in, unit_named, words_of
 from pipeline.setup.signals import quality_words, whole_row_quality
 from pipeline.setup.tables import (
@@ -41,6 +41,7 @@ from pipeline.setup.tables import (
     Table,
     TimeFormats,
     count_format,
+    find_time,
     is_number,
     is_stamp,
     is_time_name,
@@ -48,7 +49,6 @@ from pipeline.setup.tables import (
     marks_of,
     set_formats,
     time_formats,
-    timed,
 )
 
 _HEAD_BYTES = 2**16
@@ -75,10 +75,10 @@ def sniff(path: Path, time: str = "") -> Table:
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
-            return timed(_parquet(path), path, time)
+            return find_time(_parquet(path), path, time)
         if magic.startswith(b"\x89MCAP"):
             return _mcap(path)
-        return timed(_csv(path), path, time)
+        return find_time(_csv(path), path, time)
 
 
 def header_of(path: Path, logs: Logs) -> dict[str, str]:
@@ -90,7 +90,7 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
         return {}
     with readable(path):
         if logs.format == "parquet":
-            with opened(path) as file:
+            with open_parquet(path) as file:
                 fields = kinds_of(file)
             return {field.name: _unit_of(field) for field in fields}
         lines = islice(_text_lines(path, logs.encoding, _HEAD_BYTES), logs.skip_rows, HEAD_ROWS)
@@ -103,7 +103,7 @@ def header_of(path: Path, logs: Logs) -> dict[str, str]:
 
 
 def _csv(path: Path) -> Table:
-    encoding = _encoding(next(unpacked(path, _HEAD_BYTES), b""))
+    encoding = _encoding(next(unpack(path, _HEAD_BYTES), b""))
     lines = list(islice(_text_lines(path, encoding, _HEAD_BYTES), HEAD_ROWS))
     tables = {mark: _taken_apart(lines, mark) for mark in _SEPARATORS}
     separator = max(tables, key=lambda mark: tables[mark][0])
@@ -292,7 +292,7 @@ def _parquet(path: Path) -> Table:
     leaves = next(_leaves(path, HEAD_ROWS))
     columns = [column for leaf in leaves if (column := _column(*leaf)) is not None]
     known = {column.name for column in columns}
-    with opened(path) as file:
+    with open_parquet(path) as file:
         kinds = {field.name: field.type for field in file.schema_arrow}
         repeated = _repeated(file.schema_arrow.names)
     others = tuple(
@@ -322,15 +322,15 @@ def _parquet(path: Path) -> Table:
 
 def _leaves(path: Path, size: int, wanted: list[str] | None = None) -> Iterator[list[Leaf]]:
     """Yield columns, and those within them by their paths, piece by piece; the last is empty."""
-    with opened(path) as file:
+    with open_parquet(path) as file:
         texts = text_paths(kinds_of(file))
-    with opened(path, texts) as file:
+    with open_parquet(path, texts) as file:
         none = pa.RecordBatch.from_pylist([], schema=file.schema_arrow)
         for batch in chain(file.iter_batches(batch_size=size, columns=wanted), [none]):
             batch.validate(full=True)
             table = flat(pa.Table.from_batches([batch]))
             yield [
-                (field, _narrow(decoded(path, field.name, values.combine_chunks())))
+                (field, _narrow(decode(path, field.name, values.combine_chunks())))
                 for field, values in zip(table.schema, table.columns, strict=True)
                 if table.schema.names.count(field.name) == 1
             ]

@@ -20,7 +20,7 @@ from pipeline.clock import latest_us, microseconds, utc
 from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
 from pipeline.errors import LogError
-from pipeline.ingest.time_stamps import EARLIEST_US, written, written_as_numbers
+from pipeline.ingest.time_stamps import EARLIEST_US, parse_numbers, parse_written
 from pipeline.setup.names import is_in, words_of
 
 SAMPLES = 50  # cells of a column that are kept, and by which it is judged
@@ -233,7 +233,7 @@ def _read(stamps: Sequence[str], form: str) -> list[dt.datetime]:
 
     Of two digits of a year, which they take for the whole of it, the year is none of a log.
     """
-    times = written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
+    times = parse_written([pa.chunked_array([pa.array(stamps, pa.string())])], form)
     is_read = (times.kind != 0) & (times.time_us >= EARLIEST_US)
     return [utc(time_us) for time_us in times.time_us[is_read].tolist()]
 
@@ -284,7 +284,7 @@ def _misfit(times: Sequence[dt.datetime]) -> int:
 def count_format(numbers: Sequence[float]) -> str | None:
     """Format of stamps that are counts, by their size; None: no count of a time after 2001."""
     for form in (*EPOCH_UNITS, EXCEL_DAYS) if numbers else ():
-        time_us = written_as_numbers(np.array(numbers, np.float64), form).time_us
+        time_us = parse_numbers(np.array(numbers, np.float64), form).time_us
         if time_us.min() > _EARLIEST_COUNT_US and time_us.max() < latest_us():
             return form
     return None
@@ -293,7 +293,7 @@ def count_format(numbers: Sequence[float]) -> str | None:
 # The time of a table
 
 
-def timed(table: Table, path: Path, answer: str = "") -> Table:
+def find_time(table: Table, path: Path, answer: str = "") -> Table:
     """Return the table with its time found, and without the columns of times.
 
     `answer` is the column of the time, if several may be. Raises LogError (``log_time``) if no

@@ -95,15 +95,15 @@ def files_of(output: Path, table: Table, nights: Collection[dt.date] | None = No
     if whole.exists():
         return [whole]
     if nights is None:
-        months = _listed(table_folder(output, table))
-        paths = (path for month in months for path in _listed(month))
+        months = _list_files(table_folder(output, table))
+        paths = (path for month in months for path in _list_files(month))
         return sorted(path for path in paths if _is_ours(output, table, path))
     labels = {label_of(table, night) for night in nights}
     named = (labelled_file(output, table, label) for label in sorted(labels))
     return [path for path in named if path.exists()]
 
 
-def _listed(folder: Path) -> list[Path]:
+def _list_files(folder: Path) -> list[Path]:
     try:
         return list(folder.iterdir())
     except (FileNotFoundError, NotADirectoryError):

@@ -88,7 +88,7 @@ class MotorCheckpoint:
         return packed
 
 
-def decoded(content: bytes | None) -> MotorCheckpoint | None:
+def decode(content: bytes | None) -> MotorCheckpoint | None:
     """Return a checkpoint from its bytes; None without any, or where they are damaged."""
     try:
         stream = io.BytesIO(lz4.frame.decompress(content or b""))

@@ -45,7 +45,7 @@ from pipeline.trends.checkpoint import (
     MotorCheckpoint,
     Records,
     blank_records,
-    decoded,
+    decode,
     key_of,
 )
 from pipeline.trends.decisions import LEAKAGE, SENSORS, Decision
@@ -227,7 +227,7 @@ def read_nights(
 
 def _checkpoint(motor: TrendMotor) -> MotorCheckpoint | None:
     """Return what the run before left of a motor, where it is of these settings and nights."""
-    checkpoint = decoded(motor.checkpoint) if motor.is_as_recorded else None
+    checkpoint = decode(motor.checkpoint) if motor.is_as_recorded else None
     if checkpoint is None or motor.record is None:
         return None
     expected = key_of(motor.trend_hash), motor.record.last_night

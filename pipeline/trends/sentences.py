@@ -126,7 +126,7 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
     elif night.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
-        parts.append(_changed(night, night.change))
+        parts.append(_change_in_words(night, night.change))
     elif quiet_since is not None and night.verdict and night.state != "stale":
         parts.append(_quiet(night, quiet_since))
     if night.is_refused and night.verdict is not None and night.state != "stale":
@@ -252,7 +252,7 @@ def _quiet(night: NightState, since: dt.date) -> str:
     return f"{words}; the flow follows temperature otherwise than before {_since(change)}"
 
 
-def _changed(night: NightState, change: Change) -> str:
+def _change_in_words(night: NightState, change: Change) -> str:
     """Return a change in force in words."""
     if change.cause == "channels":
         return _channels_apart(night, change)

@@ -69,7 +69,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         return done
 
 
-def _guarded(done: TrendOutcome, motor_id: str, make: Callable[[], Made]) -> Made | None:
+def _guard(done: TrendOutcome, motor_id: str, make: Callable[[], Made]) -> Made | None:
     """Do something of a motor that has not failed: it must not take others down."""
     if motor_id in done.failures:
         return None
@@ -98,16 +98,16 @@ def _run_circuit(
     courses: dict[str, Course] = {}
     made: dict[str, MotorTrends] = {}
     for name, published in nights.items():
-        course = _guarded(done, name, partial(Course.of, task.output, published))
+        course = _guard(done, name, partial(Course.of, task.output, published))
         if course is None:
             continue
         courses[name] = course
         if (first := published.motor.first) is not None:
-            trends = _guarded(done, name, partial(MotorTrends.of, course, first))
+            trends = _guard(done, name, partial(MotorTrends.of, course, first))
             made |= {} if trends is None else {name: trends}
     _advance(courses, made, done)
     for name, trends in made.items():
-        staged = _guarded(done, name, partial(_stage_motor, task, trends))
+        staged = _guard(done, name, partial(_stage_motor, task, trends))
         if staged is not None:
             done.records[name], new, notified = staged
             done.alarms.extend(notified)
@@ -122,7 +122,7 @@ def _advance(
     for night in sorted(nights):
         for name, course in courses.items():
             if course.nights_to_come[:1] == (night,):
-                _guarded(done, name, course.step)
+                _guard(done, name, course.step)
         watches = {
             name: course.watch
             for name, course in courses.items()
@@ -131,7 +131,7 @@ def _advance(
         for name, trends in made.items():
             if trends.course.night == night:
                 others = [watch for other, watch in watches.items() if other != name]
-                _guarded(done, name, partial(trends.add_night, others))
+                _guard(done, name, partial(trends.add_night, others))
 
 
 def _stage_motor(

@@ -162,17 +162,17 @@ def _of_fit(course: Course, night: NightState) -> Iterator[Row]:
             continue
         path = columns.paths[number]
         if not isinstance(drives, str):
-            shown = _scaled(row, lambda value, by=float(drives[number]): by * value)
+            shown = _scale(row, lambda value, by=float(drives[number]): by * value)
             yield row | shown | {"indicator": f"leakage_{path}", "unit": "l/min"}
         if night.baseline is not None and name.startswith(LOSS_FACTOR):
             first = night.baseline.coefficients[number]
             if first > 0.0:
                 # A loss factor goes with the cube of its gap.
-                gap = _scaled(row, lambda value, by=first: 100.0 * (math.cbrt(value / by) - 1.0))
+                gap = _scale(row, lambda value, by=first: 100.0 * (math.cbrt(value / by) - 1.0))
                 yield row | gap | {"indicator": f"gap_change_{path}", "unit": "%"}
 
 
-def _scaled(row: Row, change: Any) -> Row:
+def _scale(row: Row, change: Any) -> Row:
     """Return the value of a row and its ends as something that follows from them."""
     ends = (end for end in ("value", "lower", "upper") if row.get(end) is not None)
     return {end: change(row[end]) for end in ends}

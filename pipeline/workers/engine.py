@@ -313,7 +313,7 @@ def open_cluster(execution: Execution, folders: Sequence[Path]) -> Iterator[Trie
         for who, words in refusals.items():
             if words:
                 raise EngineError("scheduler_unfit", f"{who} is unfit: {words}; {REMEDY}")
-        yield partial(_tried_on_cluster, client, execution, expected)
+        yield partial(_try_on_cluster, client, execution, expected)
 
 
 def differences(expected: Mapping[str, str], folders: Sequence[Path] = ()) -> str:
@@ -363,7 +363,7 @@ def do_on_worker(
         return outcome, {path.relative_to(folder).as_posix(): path.read_bytes() for path in staged}
 
 
-def _tried_on_cluster(
+def _try_on_cluster(
     client: Client,
     execution: Execution,
     expected: Mapping[str, str],

@@ -21,7 +21,7 @@ from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath, path_tex
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.messages import Messages, fields_at
-from pipeline.ingest.time_stamps import LATEST_US, WrittenStamps, written, written_as_numbers
+from pipeline.ingest.time_stamps import LATEST_US, WrittenStamps, parse_numbers, parse_written
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
@@ -182,7 +182,7 @@ def stamps_of(values: Sequence[Any], time_format: str) -> WrittenStamps:
     """Return stamps of any kind each: text, a number, or a message of seconds and nanoseconds."""
     is_counted = time_format in (*EPOCH_UNITS, EXCEL_DAYS)
     texts = pa.array([_stamp_text(value, is_counted) for value in values], pa.string())
-    stamps = written([pa.chunked_array([texts])], time_format)
+    stamps = parse_written([pa.chunked_array([texts])], time_format)
     names = {i: pair_of(value) for i, value in enumerate(values) if isinstance(value, dict)}
     parts = [(i, values[i][pair[0]], values[i][pair[1]]) for i, pair in names.items() if pair]
     if not parts:
@@ -221,9 +221,7 @@ def pair_of(names: Container[str]) -> tuple[str, str] | None:
 
 def stamps_of_numbers(parts: Sequence[Numbers], time_format: str) -> WrittenStamps:
     """Return stamps of a number each, or of whole seconds and nanoseconds."""
-    return (
-        stamps_of_pairs(*parts) if len(parts) > 1 else written_as_numbers(parts[0][0], time_format)
-    )
+    return stamps_of_pairs(*parts) if len(parts) > 1 else parse_numbers(parts[0][0], time_format)
 
 
 def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
@@ -233,7 +231,7 @@ def stamps_of_pairs(seconds: Numbers, nanoseconds: Numbers) -> WrittenStamps:
     sound &= (rest >= 0) & (rest < 1_000_000_000)
     time_us = np.where(sound, whole, 0).astype(np.int64) * 1_000_000
     time_us += np.where(sound, rest, 0).astype(np.int64) // 1000
-    return written_as_numbers(time_us, "epoch_us")
+    return parse_numbers(time_us, "epoch_us")
 
 
 def value_at(node: Any, path: FieldPath) -> Any:

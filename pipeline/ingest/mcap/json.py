@@ -34,7 +34,7 @@ from pipeline.ingest.mcap.decoding import (
     value_at,
 )
 from pipeline.ingest.mcap.messages import column, fields_at
-from pipeline.ingest.time_stamps import WrittenStamps, written
+from pipeline.ingest.time_stamps import WrittenStamps, parse_written
 
 _MOST_SHAPES = 32
 _NUMBER = re.compile(rb" *-?[0-9][-+.0-9eE]*")
@@ -175,7 +175,7 @@ def _column(table: pa.Table, path: FieldPath) -> pa.Array:
 
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
     if pa.types.is_string(parts[0].type):
-        return written([pa.chunked_array(parts)], time_format)
+        return parse_written([pa.chunked_array(parts)], time_format)
     # Nothing is before 1990, so that a missing stamp is not readable.
     numbers = [(pc.fill_null(part, 0).to_numpy(), ~nulls(part)) for part in parts]
     return stamps_of_numbers(numbers, time_format)

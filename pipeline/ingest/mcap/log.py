@@ -22,7 +22,7 @@ from pipeline.arrays import chosen_rows
 from pipeline.config.dialect import FieldPath, field_path, path_text
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Gathered, judged, raw_log
+from pipeline.ingest.assembly import Gathered, drop_bad_stamps, raw_log
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader, span
 from pipeline.ingest.mcap.decoding import (
     Decoded,
@@ -40,7 +40,7 @@ from pipeline.ingest.mcap.decoding import (
 from pipeline.ingest.mcap.json import json_decoder, json_object
 from pipeline.ingest.mcap.messages import NO_SCHEMA, Messages, read_messages, read_summary
 from pipeline.ingest.mcap.protobuf import protobuf_decoder
-from pipeline.ingest.time_stamps import TimeStamps, placed, written_as_numbers
+from pipeline.ingest.time_stamps import TimeStamps, parse_numbers, place_in_zone
 
 _PIECE = 2**20
 _COST_OF_MESSAGE = 64
@@ -62,7 +62,7 @@ def _read(file: LogFile) -> RawLog:
         topic.decode()
         topic.require_all(messages)  # the last piece knows all channels
     every = [topic.rows.stamps(file.logs.time_zone) for topic in topics]
-    stamps, refused = judged(file.path, every, _time_name(file.logs), file.latest_us)
+    stamps, refused = drop_bad_stamps(file.path, every, _time_name(file.logs), file.latest_us)
     by_name: dict[str, RawChannel] = {}
     for topic, own in zip(topics, stamps, strict=True):
         by_name |= topic.raw_channels(own)
@@ -79,7 +79,7 @@ def _span(file: LogFile) -> tuple[int, int]:
         log_times = np.array(
             [statistics.message_start_time, statistics.message_end_time], np.uint64
         )
-        ends = placed(written_as_numbers(log_times, "epoch_ns"), "UTC")
+        ends = place_in_zone(parse_numbers(log_times, "epoch_ns"), "UTC")
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
             return span(file.path, [ends.time_us])
@@ -197,7 +197,7 @@ class _Topic:
         decoded = self.decoder.decode(payloads)
         stamps = decoded.stamps
         if stamps is None:
-            stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
+            stamps = parse_numbers(payloads.time_ns, "epoch_ns")
         qualities = {quality: decoded.qualities[path] for quality, path in self.qualities.items()}
         self.rows.add(stamps, decoded.fields, qualities)
         self.first = self.first or payloads.first

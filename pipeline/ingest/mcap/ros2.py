@@ -80,7 +80,7 @@ def ros2_decoder(path: Path, topic: str, schema: Schema, wanted: Wanted) -> Deco
 
     def tree(payload: bytes) -> Any:
         places = layout.places(payload)
-        return None if places is None else _filled(places, payload)
+        return None if places is None else _fill(places, payload)
 
     def decode(payloads: Payloads) -> Decoded:
         _require_plain(path, topic, payloads)
@@ -213,7 +213,7 @@ class _Layout:
             raise _damaged(self.path, self.schema, error) from error
         if places is None:
             raise self._too_large()
-        return _filled(places, zeros)
+        return _fill(places, zeros)
 
     def _too_large(self) -> LogError:
         how = f"messages of topic {self.topic!r} have more than {MOST_READ} numbers"
@@ -253,7 +253,7 @@ class _Layout:
             return self.length
         place = self._number("uint32")
         self.lengths.append(place.at)
-        return int(_filled(place, self.payload))
+        return int(_fill(place, self.payload))
 
     def _number(self, kind: str, count: int = 1, n_read: int = 1) -> _Place:
         """Return the place of the first of some numbers, aligned to their size."""
@@ -274,12 +274,12 @@ class _Layout:
         return begin
 
 
-def _filled(node: Any, payload: bytes) -> Any:
+def _fill(node: Any, payload: bytes) -> Any:
     """Return dicts and lists with what stands at their places."""
     if isinstance(node, dict):
-        return {name: _filled(inner, payload) for name, inner in node.items()}
+        return {name: _fill(inner, payload) for name, inner in node.items()}
     if isinstance(node, list):
-        return [_filled(inner, payload) for inner in node]
+        return [_fill(inner, payload) for inner in node]
     if node.kind == _TEXT:
         return payload[node.at : node.at + node.size].removesuffix(b"\0").decode(errors="replace")
     number = struct.unpack_from(node.kind, payload, node.at)[0]

@@ -18,7 +18,7 @@ from leakage.course.trend import (
     estimated_phi,
     fit_slope,
     time_to_limit,
-    whitened,
+    whiten,
 )
 from tests.leakage.made_samples import autoregression
 
@@ -71,7 +71,7 @@ def test_series_without_scatter_or_span_have_no_interval() -> None:
 @pytest.mark.parametrize("phi", [0.0, 0.4, 0.95])
 def test_whitening_is_that_of_the_covariance(phi: float) -> None:
     nights = np.array([0, 1, 2, 5, 6, 20, 21, 23])
-    transform = whitened(np.eye(8), phi, nights)
+    transform = whiten(np.eye(8), phi, nights)
     whole = phi ** np.abs(np.subtract.outer(nights, nights))
     assert transform @ whole @ transform.T == pytest.approx(np.eye(8))
 

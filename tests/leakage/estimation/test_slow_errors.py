@@ -13,7 +13,7 @@ from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.blocks import factors, merge
 from leakage.estimation.identifiability import Excitation, judge_leakage
 from leakage.estimation.proven_minimum import certify
-from leakage.estimation.slow_errors import SlowErrors, slow_errors, whitened, with_level
+from leakage.estimation.slow_errors import SlowErrors, slow_errors, whiten, with_level
 from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.conditions import OperatingConditions
 from leakage.physics.motor import regressors
@@ -80,7 +80,7 @@ def test_whitened_factors_are_those_of_the_covariance_written_out(errors: SlowEr
     number = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 30, 31, 32])
     n, means, rest = means_by_definition(z, errors.direction)
     expected = rest + means.T @ np.linalg.solve(covariance_of_means(n, number, 0.9, 10.0), means)
-    made = merge(whitened(blocks_of(z), number, errors))
+    made = merge(whiten(blocks_of(z), number, errors))
     scale = len(z) / expected[-3, -3]
     np.testing.assert_allclose(made.T @ made, scale * expected, rtol=1e-9)
 
@@ -241,7 +241,7 @@ def test_intervals_hold_under_slow_errors(kind: str, least: float, plain_at_most
         errors = slow_errors(blocks, number, FREE, np.zeros(3))
         for name, made, widening in (
             ("plain", blocks, 1.0),
-            ("whitened", whitened(blocks, number, errors), WIDENING if errors.are_slow else 1.0),
+            ("whitened", whiten(blocks, number, errors), WIDENING if errors.are_slow else 1.0),
         ):
             theta = certify(merge(made), -BOUNDS, BOUNDS).coefficients
             distribution = cluster_robust(made, theta, ~FREE, widening)
@@ -287,7 +287,7 @@ def test_an_error_that_hides_the_level_costs_no_leakage() -> None:
         if made.slow.scales:
             level = with_level(blocks.factors, blocks.number, made.slow)
             np.testing.assert_array_equal(made.fitted, level)
-        judged = made.identified(blocks.excitation)
+        judged = made.identify(blocks.excitation)
         found = judge_leakage(made.fit, judged, blocks.excitation, REFERENCE)
         assert found.has_value, found.reason
         # model.md, section 3.

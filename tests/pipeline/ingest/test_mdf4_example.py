@@ -34,9 +34,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     entry = f"[{dialect.GROUP}]\nmdf4 = mdf4_reader:READER\n"
     (info / "entry_points.txt").write_text(entry, "utf-8")
     monkeypatch.syspath_prepend(str(info.parent))
-    dialect.installed.cache_clear()
+    dialect.installed_readers.cache_clear()
     yield
-    dialect.installed.cache_clear()
+    dialect.installed_readers.cache_clear()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

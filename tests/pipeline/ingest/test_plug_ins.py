@@ -48,10 +48,10 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         (info / "METADATA").write_text(f"Name: {package}\nVersion: {version}\n", "utf-8")
         entry = f"[{dialect.GROUP}]\n{package[:4]} = {module}:READER\n"
         (info / "entry_points.txt").write_text(entry, "utf-8")
-        dialect.installed.cache_clear()
+        dialect.installed_readers.cache_clear()
 
     yield add
-    dialect.installed.cache_clear()
+    dialect.installed_readers.cache_clear()
 
 
 def test_a_format_that_nothing_reads_is_a_fault_with_those_that_there_are(install: Install) -> None:

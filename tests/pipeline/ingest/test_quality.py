@@ -215,8 +215,8 @@ def test_what_is_no_quality(tmp_path: Path, cells: pa.Array) -> None:
 def test_parts_of_a_channel_are_joined_with_their_quality() -> None:
     some = RawChannel(np.arange(2), np.ones(2), np.zeros(2, np.bool_), 1)
     judged = replace(some, bad_quality=np.array([True, False]))
-    both = RawChannel.joined([judged, some])
+    both = RawChannel.join([judged, some])
     assert both.bad_quality is not None
     assert both.bad_quality.tolist() == [True, False, False, False]
     assert both.unparsed == 2
-    assert RawChannel.joined([some, some]).bad_quality is None
+    assert RawChannel.join([some, some]).bad_quality is None

@@ -19,9 +19,9 @@ from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
     example_of,
-    placed,
-    written,
-    written_as_numbers,
+    parse_numbers,
+    parse_written,
+    place_in_zone,
 )
 
 from .sources import logs_of
@@ -36,7 +36,7 @@ def us(moment: datetime) -> int:
 
 
 def read(texts: list[str | None], time_format: str = "iso8601", zone: str = "UTC") -> TimeStamps:
-    return placed(written([pa.chunked_array([texts], pa.string())], time_format), zone)
+    return place_in_zone(parse_written([pa.chunked_array([texts], pa.string())], time_format), zone)
 
 
 def local(*texts: str, zone: str) -> list[int]:
@@ -45,7 +45,7 @@ def local(*texts: str, zone: str) -> list[int]:
 
 def at_walls(naive: NDArray[np.int64], zone: str) -> NDArray[np.int64]:
     """Stamps on the wall clock of a zone in UTC."""
-    return placed(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone).time_us
+    return place_in_zone(WrittenStamps(naive, np.ones(naive.size, np.int8)), zone).time_us
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_the_largest_integers_are_no_time() -> None:
     for dtype in (np.int64, np.uint64):
         largest = np.array([np.iinfo(dtype).max, np.iinfo(dtype).min], dtype)
         for time_format in ("epoch_s", "epoch_ms", "epoch_us", "epoch_ns"):
-            stamps = written_as_numbers(largest, time_format)
+            stamps = parse_numbers(largest, time_format)
             assert stamps.time_us.tolist() == [0, 0] or time_format == "epoch_ns"
 
 
@@ -160,7 +160,7 @@ def test_arrow_timestamps_of_every_unit(unit: str, zone: str | None) -> None:
     per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     counts = [1740808800 * per_second, None, 0, 2**62, -(2**62)]
     column = pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone))
-    stamps = placed(written([column], "iso8601"), "UTC")
+    stamps = place_in_zone(parse_written([column], "iso8601"), "UTC")
     assert stamps.time_us[:3].tolist() == [T0_US, 0, 0]
     assert stamps.readable[:3].tolist() == [True, False, False]
 

@@ -19,7 +19,7 @@ from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs.dates import dated_otherwise, with_known_nights
-from pipeline.logs.files import LONGEST_LOG_DAYS, covered, labels_of, slice_night
+from pipeline.logs.files import LONGEST_LOG_DAYS, labels_of, slice_night, with_coverage
 from pipeline.logs.finding import FolderLogs, find_logs
 from pipeline.logs.processed import (
     FileRecord,
@@ -85,7 +85,7 @@ def every_minute(begin: dt.datetime = EVENING, n: int = 60) -> list[dt.datetime]
 
 def fully_read(path: Path, spec: MotorSpec) -> FileRecord:
     log = read_log(path, spec.file.logs, spec.file.channels)
-    return covered(inspected(path, spec), log, spec)
+    return with_coverage(inspected(path, spec), log, spec)
 
 
 # Finding
@@ -167,7 +167,7 @@ def test_only_nights_with_samples_count(spec: MotorSpec, tmp_path: Path) -> None
     path = write(tmp_path / "a.csv", [*every_minute(), *every_minute(EVENING + 9 * DAY)])
     assert len(inspected(path, spec).nights) == 10
     assert fully_read(path, spec).nights == ("2026-01-02", "2026-01-11")
-    empty = covered(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0), spec)
+    empty = with_coverage(FileRecord("a.csv", 1, 1, "x"), RawLog({}, 0), spec)
     header = inspected(write(tmp_path / "b.csv", []), spec)
     for record in (empty, header):
         assert (record.status, record.nights, record.message) == ("ok", (), "no samples")

@@ -21,7 +21,7 @@ from pipeline.config import Channel, MotorSpec, TransportDelay
 from pipeline.config.motor_types import OilSample
 from pipeline.night import on_grid
 from pipeline.night.fit_night import NightOutcome, refit
-from pipeline.night.on_grid import DELAYED, delay_inputs, delay_on_grid_s, shifted
+from pipeline.night.on_grid import DELAYED, delay_inputs, delay_on_grid_s, shift
 from pipeline.schema import BLOCKS, frame
 from tests.pipeline.night.noise_free import (
     configured_flow,
@@ -53,7 +53,7 @@ def test_as_the_slow_definition(seed: int) -> None:
     rng = np.random.default_rng(seed)
     value, present = rng.normal(size=30), rng.random(30) < 0.8
     steps = rng.choice([-3.0, -2.5, -0.25, 0.0, 1.75, 4.0, np.nan, np.inf], 30)
-    found, there = shifted(value, present, steps)
+    found, there = shift(value, present, steps)
     for i, step in enumerate(steps):
         place = i + step
         ends = {int(np.floor(place)), int(np.ceil(place))} if np.isfinite(place) else {-1}
