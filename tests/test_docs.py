@@ -165,7 +165,7 @@ def test_the_historian_s_log_is_one_that_the_config_takes() -> None:
     assert Logs.model_validate(tables).layout == "long"
     (keys,) = example["channels"].values()
     channel = Channel.model_validate(keys)
-    settings = (channel.sampling, channel.quality_good)
+    settings = (channel.between, channel.quality_good)
     assert settings == ("hold", (192,))
 
 

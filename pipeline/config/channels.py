@@ -82,11 +82,13 @@ class Channel(Section):
     """Error in proportion to the reading."""
     frozen_after_s: Positive | None = None
     """Time without a change after which a sensor is frozen; by default 60 s, temperature 900 s."""
-    sampling: Literal["periodic", "on_change", "hold", "mean"] = "periodic"
-    """Fixed rate (`periodic`), compressed to the ends of lines (`on_change`), sent on change and
-    valid until the next (`hold`), means of a period (`mean`)."""
+    sampling: Literal["periodic", "on_change", "mean"] = "periodic"
+    """Fixed rate (`periodic`), sent on change (`on_change`), means of a period (`mean`)."""
     longest_silence_s: Positive | None = Field(None, le=31_536_000.0)
-    """Silence that is a gap; required for `on_change` and `hold`."""
+    """Silence that is a gap; required for `on_change`."""
+    between: Literal["interpolate", "hold"] = "interpolate"
+    """`on_change`: values on the line between two samples, as a compressing archive means them, or
+    the last one (`hold`)."""
     mean_of_s: Positive | None = None
     """Averaging period of a sample; needed for `mean`."""
     volume_per_count_cm3: Positive | None = None
@@ -118,7 +120,9 @@ class Channel(Section):
         if self.sensor_maximum and lowest is not None and self.sensor_maximum <= lowest:
             yield self.at("sensor_maximum", "expected more than the lower end of valid_range")
         if self.is_on_change and self.longest_silence_s is None:
-            yield self.at("longest_silence_s", f'expected a time for sampling = "{self.sampling}"')
+            yield self.at("longest_silence_s", 'expected a time for sampling = "on_change"')
+        if self.between == "hold" and not self.is_on_change:
+            yield self.at("between", 'expected sampling = "on_change" beside it')
         if (self.sampling == "mean") == (self.mean_of_s is None):
             yield self.at("mean_of_s", 'expected together with sampling = "mean", and only then')
         yield from self._misfits_of_units()
@@ -143,7 +147,7 @@ class Channel(Section):
     @property
     def is_on_change(self) -> bool:
         """True if silence says that the value has not changed, or lies on a line."""
-        return self.sampling in ("on_change", "hold")
+        return self.sampling == "on_change"
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -92,7 +92,7 @@ class ChannelRules:
             shortest_gap_s=TEMPERATURE_GAP_S if is_temperature else 0.0,
             at_rest_below=STANDSTILL_RPM if name == "speed" else 0.0,
             on_change=channel.is_on_change,
-            hold=channel.sampling == "hold",
+            hold=channel.between == "hold",
             mean_us=(channel.mean_of_s or 0.0) * SECOND_US,
             shift_us=round(channel.time_offset_s * SECOND_US),
             counts=channel.unit if channel.is_counted else None,

@@ -221,8 +221,8 @@ def silence_keys(raw: RawChannel, every_us: Times) -> dict[str, Any]:
     silence_s = next((seconds for seconds in SILENCES_S if seconds >= needed_s), SILENCES_S[-1])
     changes = np.abs(np.diff(value))
     smallest, typical = np.quantile(changes[changes > 0], (0.05, 0.5))
-    sampling = "hold" if smallest > STEP_SHARE * typical else "on_change"
-    return {"sampling": sampling, "longest_silence_s": float(silence_s)}
+    held = {"between": "hold"} if smallest > STEP_SHARE * typical else {}
+    return {"sampling": "on_change", "longest_silence_s": float(silence_s), **held}
 
 
 def sampling_note(name: str, channel: Channel, raw: RawChannel) -> Iterator[str]:

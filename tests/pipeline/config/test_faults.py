@@ -95,6 +95,7 @@ CASES: tuple[Case, ...] = (
         (MOTOR, FLOW, f"{FLOW}\n{keys}", f"channels.leakage_flow.{key}", words)
         for keys, key, words in (
             ('sampling = "on_change"', "longest_silence_s", "expected a time"),
+            ('between = "hold"', "between", "on_change"),
             # The end of the silence after a sample has to be a date.
             (f"{ON_CHANGE}\nlongest_silence_s = 1e12", "longest_silence_s", "less than"),
             ('sampling = "mean"', "mean_of_s", "together with"),

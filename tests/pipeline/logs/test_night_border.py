@@ -57,7 +57,7 @@ NONE = float("nan")
 
 
 METER = {"volume_per_count_cm3": 1000.0, "unit": "count"}
-HOLD = {"sampling": "hold"}
+HOLD = {"between": "hold"}
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ PULSED: dict[str, Any] = {"unit": "pulses", "volume_per_count_cm3": 1.0}
 COUNTED: dict[str, Any] = PULSED | {"unit": "count"}
 MEANS: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
-HELD: dict[str, Any] = ON_CHANGE | {"sampling": "hold"}
+HELD: dict[str, Any] = ON_CHANGE | {"between": "hold"}
 
 
 def seconds(n: int) -> Times:
