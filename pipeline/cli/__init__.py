@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -99,6 +100,9 @@ def main() -> NoReturn:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     # A command is short: few collections of garbage.
     gc.set_threshold(10_000)
+    for name in ("stdout", "stderr"):  # which a caller may have closed
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115
     # Before anything is parsed: a fault in the arguments is a message, too.
     as_json = "--json" in sys.argv[1:]
     speak(as_json=as_json)

@@ -117,13 +117,15 @@ def require_order(since: dt.date | None, until: dt.date | None) -> None:
 
 
 def say(line: str, *, err: bool = False) -> None:
-    """Print a line; a closed pipe must not end a run."""
+    """Print a line; a closed pipe, or a log of the run on a full disk, must not end a run."""
     try:
         typer.echo(line, err=err)
-    except BrokenPipeError:
+    except OSError as error:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
         os.close(nowhere)
+        if not (err or isinstance(error, BrokenPipeError)):
+            say(f"standard output cannot be written: {error.strerror}", err=True)
 
 
 def tell(event: Mapping[str, Any], words: str, *, as_json: bool, err: bool = False) -> None:
@@ -150,7 +152,7 @@ def print_table(
     """
     if not sys.stdout.isatty():
         for cells in (columns, *rows):
-            typer.echo("\t".join(map(one_line, cells)))
+            say("\t".join(map(one_line, cells)))
         return
     from rich import box
     from rich.console import Console

@@ -25,6 +25,7 @@ from pipeline.cli.arguments import (
     tell,
 )
 from pipeline.clock import now
+from pipeline.errors import UsageError
 from pipeline.messages import counted
 
 
@@ -105,10 +106,12 @@ def export(
 
     Text that a spreadsheet would evaluate as a formula gets an apostrophe in front.
     """
-    from pipeline.config import load_fleet
+    from pipeline.config import load_fleet, overlap
     from pipeline.export import CsvRequest, export_csv, tables_named
 
     fleet = load_fleet(config)
+    if (expected := overlap(fleet.at_output(csv.absolute()))) is not None:
+        raise UsageError("csv_folder", f"--csv: got {csv}; {expected}")
     root, named = output or fleet.output, tables_named(tables.replace(",", " ").split())
     require_order(since, until)
     ids = fleet.known_motors(motors.split())

@@ -245,8 +245,7 @@ def ack(
     from pipeline.trends.decisions import Decision, record_decision
     from pipeline.trends.motor_states import ACTIONABLE, CHANGED
 
-    if not note.strip():
-        raise UsageError("note", "--note: expected some words")
+    require_words(note)
     fleet = load(config, output, None, logs=False)
     if night or fit:
         record_decision(fleet.output, _failed_night(fleet, motor, night, note, is_fit=fit))
@@ -272,6 +271,12 @@ def ack(
         text = f"{indicator}, raised last on {night}: {kind}"
     record_decision(fleet.output, decision)
     typer.echo(f"{motor}: {text}")
+
+
+def require_words(note: str) -> None:
+    """Raise UsageError if a note says nothing."""
+    if not note.strip():
+        raise UsageError("note", "--note: expected some words")
 
 
 def _failed_night(
@@ -342,9 +347,18 @@ def baseline_reset(
 
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
+    from pipeline.store.state import read_state_file
     from pipeline.trends.decisions import Decision, record_decision
 
+    require_words(note)
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])
+    with read_state_file(fleet.output) as state:
+        query = "SELECT min(night), max(night) FROM nights WHERE motor_id = ?"
+        ((first, last),) = state.rows(query, motor) or ((None, None),)
+    after = last and str(dt.date.fromisoformat(last) + dt.timedelta(days=1))
+    if first and after and not first <= str(night) <= after:
+        message = f"{motor} has the nights {first} to {last}; expected one of them, or the next"
+        raise UsageError("unknown_night", message)
     record_decision(fleet.output, Decision(motor, "", now(), "baseline_reset", night, None, note))
     typer.echo(f"{motor}: its baseline starts with the night {night}")

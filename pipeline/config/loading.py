@@ -176,9 +176,13 @@ def _oil_faults(file: str, spec: MotorSpec) -> Iterator[Fault]:
 
 
 def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
-    """Yield motors that take their drain flow from the same place."""
+    """Yield motors that take their drain flow from the same place, or whose files' names clash."""
     first: dict[object, str] = {}
     for spec in specs:
+        other = first.setdefault(spec.motor_id.lower(), spec.motor_id)
+        if other != spec.motor_id:
+            message = f"expected another name than {other}: many disks do not tell case apart"
+            yield fault_at(f"motors/{spec.motor_id}.toml", ("motor_id",), message, spec.motor_id)
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
         place = (logs.files, logs.motor_name, flow.source, flow.field)
         other = first.setdefault(place, spec.motor_id)
@@ -225,7 +229,8 @@ def _read_folder(
     files: _Folder[Model] = _Folder({}, {}, {})
     if folder is not None and not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
-    for path in sorted(folder.glob("*.toml")) if folder else ():
+    # A hidden file, as macOS leaves beside each, is none of the fleet's.
+    for path in sorted(folder.glob("[!.]*.toml")) if folder else ():
         file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
         document = read_toml(path, file, faults)
         files.own[name] = document or {}

@@ -92,8 +92,25 @@ def find_logs(
 def _matching_files(root: Path, pattern: str, silent: Collection[str]) -> Iterator[Path]:
     for path, is_file in _matching(root, pattern):
         still_alive()
+        if _is_hidden(path.relative_to(root).as_posix(), pattern):
+            continue
         if is_file or not _is_folder(path, root, silent):
             yield path
+
+
+def _is_hidden(name: str, pattern: str) -> bool:
+    """Return True for what a system or a program leaves beside logs, unless a pattern names it.
+
+    As in a shell a star is no leading point: `._a.csv` of macOS, `.a.csv.X7f` of rsync under way,
+    snapshots of a file server. `~$a.csv` is the lock of a file that is open in Excel.
+
+    Examples
+    --------
+    >>> [_is_hidden(name, "**/*.csv") for name in ("M1/._a.csv", ".snapshot/a.csv", "M1/a.csv")]
+    [True, True, False]
+    """
+    is_named = "/." in f"/{pattern}" or "~$" in pattern
+    return not is_named and ("/." in f"/{name}" or "/~$" in f"/{name}")
 
 
 def _matching(root: Path, pattern: str) -> Iterator[tuple[Path, bool]]:
@@ -158,6 +175,7 @@ def logs_below(folder: Path, known: Collection[Path] = ()) -> Iterator[Path]:
             continue
         paths = [path for name in names if (path := Path(place, name)) not in known]
         logs = [path for path in paths if suffix_of(path).lower().startswith(SUFFIXES)]
+        logs = [path for path in logs if not _is_hidden(path.relative_to(root).as_posix(), "*")]
         live = of_newest_version(logs, root)
         yield from (path for path in logs if path in live and path.is_file())
 
@@ -298,7 +316,11 @@ class FolderLogs:
     def unmatched(self) -> tuple[str, ...]:
         """Return messages about globs that match no log."""
         place = self._spec.log_url or self._spec.log_root
-        return tuple(f"no file matches {pattern} below {place}" for pattern in self._unmatched)
+        return tuple(
+            f"no file matches {pattern} below {place}"
+            + " ([1] stands for 1: a name with a bracket is written [[]1])" * ("[" in pattern)
+            for pattern in self._unmatched
+        )
 
 
 class StoredLogs(FolderLogs):
@@ -367,7 +389,8 @@ def _matching_objects(
         if pattern in here:
             matches = [pattern]
         else:
-            matches = [key for key in here if _fits(key.split("/"), parts)]
+            shown = (key for key in here if not _is_hidden(key, pattern))
+            matches = [key for key in shown if _fits(key.split("/"), parts)]
         objects |= {legible(key): here[key] for key in matches}
         if not matches:
             (unmatched if GLOB_CHARACTERS & set(pattern) else absent).append(pattern)

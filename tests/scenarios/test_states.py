@@ -226,6 +226,9 @@ REFUSED = {
     "baseline reset broken '5 May' --note x": "got '5 May'; expected YYYY-MM-DD",
     "baseline reset broken 2199-01-01 --note x": "which has not come",
     "baseline reset M9 2026-01-05 --note x": "no motor M9",
+    "baseline reset broken 2026-03-01 --note x": "broken has the nights 2026-01-02 to 2026-01-21",
+    "baseline reset broken 2026-01-01 --note x": "broken has the nights 2026-01-02 to 2026-01-21",
+    "baseline reset broken 2026-01-10 --note ' '": "expected some words",
 }
 
 

@@ -1,0 +1,97 @@
+"""What people get wrong, and what happens around the program: it says so, and nothing is lost."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import main
+from pipeline.cli.arguments import say
+from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet
+
+MOTORS = {motor: Simulated(motor, format="csv") for motor in ("A", "B")}
+
+
+@pytest.fixture(scope="module")
+def _unfitted(tmp_path_factory: pytest.TempPathFactory) -> ScenarioFleet:
+    """Two motors, two nights."""
+    folder = tmp_path_factory.mktemp("situations")
+    return make_fleet(folder, *MOTORS.values(), nights=2, minutes=20.0, rate_hz=0.5)
+
+
+@pytest.fixture
+def fleet(_unfitted: ScenarioFleet, tmp_path: Path) -> ScenarioFleet:
+    """The same, to change at will."""
+    return _unfitted.copy(tmp_path / "fleet")
+
+
+def leave_hidden_files(fleet: ScenarioFleet) -> None:
+    """Leave what macOS, rsync, a file server and Excel leave beside files."""
+    for place in ("configs/motors/._A.toml", "logs/A/._A_2026-01-02.csv", "logs/A/~$A.csv"):
+        (fleet.folder / place).write_bytes(b"\x00\x05\x16\x07")
+    snapshot = fleet.folder / "logs" / "A" / ".snapshot"
+    snapshot.mkdir()
+    (snapshot / "A_2026-01-02.csv").write_text(fleet.log("A", 1).read_text("utf-8"), "utf-8")
+    fleet.change("motors/A.toml", "A/*.csv", "A/**/*.csv")
+
+
+def rename_folder(fleet: ScenarioFleet) -> None:
+    """Give a folder of logs a name with brackets."""
+    (fleet.folder / "logs" / "A").rename(fleet.folder / "logs" / "A[1]")
+    fleet.change("motors/A.toml", "A/*.csv", "A[1]/*.csv")
+
+
+def add_motor(fleet: ScenarioFleet) -> None:
+    """Add a motor whose id differs by case alone."""
+    text = (fleet.config.parent / "motors" / "A.toml").read_text("utf-8")
+    other = text.replace('"A"', '"a"').replace("A/", "a/")
+    (fleet.config.parent / "motors" / "a.toml").write_text(other, "utf-8")
+
+
+# By what is done: the command, its exit code and words of it.
+SITUATIONS: dict[Callable[[ScenarioFleet], None], tuple[str, int, str]] = {
+    leave_hidden_files: ("check", 0, "A: CB400, csv, 2 files, 2 nights"),
+    rename_folder: ("check", 1, "a name with a bracket is written [[]1]"),
+    add_motor: ("check", 2, "motors/a.toml: motor_id"),
+}
+
+
+@pytest.mark.parametrize("change", SITUATIONS, ids=lambda change: change.__name__)
+def test_what_people_do_is_taken_or_named(
+    fleet: ScenarioFleet, change: Callable[[ScenarioFleet], None]
+) -> None:
+    command, code, words = SITUATIONS[change]
+    change(fleet)
+    done = fleet.run(command)
+    assert words in done.out + done.err
+    assert done.code == code
+
+
+def test_tables_are_not_exported_to_where_logs_are_looked_for(fleet: ScenarioFleet) -> None:
+    for folder in ("logs", "logs/A"):
+        done = fleet.run("export", "--csv", fleet.folder / folder)
+        assert (done.code, done.out) == (2, "")
+        assert "csv_folder" in done.err
+
+
+def test_words_that_cannot_be_written_end_nothing(
+    fleet: ScenarioFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (
+        Path("/dev/full").open("w") as full,
+        redirect_stdout(full),
+        redirect_stderr(StringIO()) as err,
+    ):
+        say("first line")
+        say("second line")
+    assert err.getvalue() == "standard output cannot be written: No space left on device\n"
+    monkeypatch.setattr(sys, "argv", ["motor-leakage", "status", str(fleet.config)])
+    monkeypatch.setattr(sys, "stdout", None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
