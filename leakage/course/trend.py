@@ -29,8 +29,6 @@ References
 ----------
 .. [1] J. M. van Noortwijk, "A survey of the application of gamma processes in maintenance",
    *Reliability Engineering & System Safety*, 94(1), 2009.
-.. [2] D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square
-   distributions", *Annals of Mathematical Statistics*, 30(4), 1959.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincc, ndtr, stdtrit
+from scipy.special import gammaincc, stdtr, stdtrit
 
 from leakage.arrays import Array, Places
 
@@ -319,17 +317,9 @@ def _crossed_by_shape(nights: Places, u: Array, y: Array, at: Array) -> tuple[Ar
     beyond = _shapes(at) - fits.middles[:, None]
     above = fits.level - 1.0 + fits.slopes[:, None] * beyond
     error = variance[:, None] * (1.0 / fits.length + beyond**2 / fits.spans[:, None])
-    crossed: Array = weights @ _student(above / np.sqrt(error), freedom)
-    rising = _student(fits.slopes * np.sqrt(fits.spans / variance), freedom)
+    crossed: Array = weights @ stdtr(freedom, above / np.sqrt(error))
+    rising = stdtr(freedom, fits.slopes * np.sqrt(fits.spans / variance))
     return crossed, float(weights @ rising)
-
-
-def _student(t: Array, freedom: int) -> Array:
-    """Return Student's distribution function to 1e-4 [2]_, ten times as fast as the exact."""
-    factor = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
-    normal = factor * np.sqrt(freedom * np.log1p(t**2 / freedom))
-    result: Array = ndtr(np.copysign(normal, t))
-    return result
 
 
 def _crossed_by_jumps(u: Array, y: Array, ahead: Array) -> tuple[Array, float]:
