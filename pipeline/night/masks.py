@@ -47,15 +47,8 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def steps_where(holds: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
-    """Return places of the steps, from each time to the next, of which something holds.
-
-    Some at a time, which stay in the cache: a night at 100 Hz takes half the time.
-    """
-    borders = [
-        begin + np.flatnonzero(holds(np.diff(time_us[begin : begin + CACHED + 1])))
-        for begin in range(0, len(time_us) - 1, CACHED)
-    ]
-    return np.concatenate(borders) if borders else NO_BORDERS
+    """Return places of the steps, from each time to the next, of which something holds."""
+    return np.flatnonzero(holds(np.diff(time_us)))
 
 
 def missing_sample(

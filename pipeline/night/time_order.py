@@ -22,8 +22,6 @@ FREE_SHARE = 0.75
 NEAR_PERIODS = 5.0
 # A step further than this share of a period from a whole number of periods is jitter.
 JITTER_SHARE = 0.25
-# Steps that a guess at their median is made from.
-LOOKED_AT = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,16 +85,8 @@ class Steps:
     @classmethod
     def of(cls, time_us: Times) -> Steps:
         """Return the steps of increasing stamps, shape (n,)."""
-        n = len(time_us) - 1
-        if n < 1:
+        if len(time_us) < 2:
             return cls(None, NO_BORDERS)
-        # Where most are alike, which is where sorting takes longest, their length is the median.
-        places = np.arange(0, n, max(1, n // LOOKED_AT))
-        some = np.sort(time_us[places + 1] - time_us[places])
-        likely = some[len(some) // 2]
-        uneven = steps_where(lambda steps_us: steps_us != likely, time_us)
-        if 2 * len(uneven) < n:
-            return cls(float(likely), uneven)
         median = float(np.median(np.diff(time_us)))
         return cls(median, steps_where(lambda steps_us: steps_us != median, time_us))
 
