@@ -184,7 +184,7 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
             message = f"expected another name than {other}: many disks do not tell case apart"
             yield fault_at(f"motors/{spec.motor_id}.toml", ("motor_id",), message, spec.motor_id)
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
-        place = (logs.files, logs.motor_name, flow.source, flow.field)
+        place = (logs.files, logs.motor_rows, flow.source, flow.field)
         other = first.setdefault(place, spec.motor_id)
         if other != spec.motor_id:
             message = (

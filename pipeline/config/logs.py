@@ -76,10 +76,8 @@ class Logs(Section):
     """A column per channel (`wide`), a row per sample (`long`), or `file_per_channel`."""
     channel_column: str = "channel"
     """Layout `long`: column of channels' names."""
-    motor_column: str = ""
-    """Column of the motor's name, where rows are of several."""
-    motor_name: str = ""
-    """The motor's name in `motor_column`."""
+    motor_rows: tuple[str, str] | None = None
+    """Column of motors' names, where rows are of several, and the motor's name in it."""
     value_column: str = "value"
     """Column of the values, unless `wide`; MCAP: field of the message."""
     separator: str = Field(",", min_length=1, max_length=1)
@@ -110,8 +108,6 @@ class Logs(Section):
         if thousands and thousands in (self.decimal, separator):
             message = "expected another mark than the decimal mark and the separator"
             yield self.at("thousands", message)
-        if bool(self.motor_column) != bool(self.motor_name):
-            yield self.at("motor_name", "expected motor_column and motor_name together")
         try:
             field_path(self.stamp or "time")
         except ValueError as error:

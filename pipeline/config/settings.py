@@ -198,8 +198,6 @@ class Execution(Section):
     scheduler, such as tcp://10.0.0.5:8786."""
     timeout_s: Positive = Field(600.0, le=604_800.0)
     """Longest time for a night of a motor; a log that does not open within a tenth of it fails."""
-    memory_limit_mib: int = Field(4096, ge=512, le=1_048_576)
-    """Most memory of a worker (Linux)."""
 
     @property
     def answer_s(self) -> float:

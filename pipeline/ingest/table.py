@@ -62,7 +62,7 @@ def wanted_columns(file: LogFile) -> Columns:
         logs.channel_column if logs.layout == "long" else None,
         tuple(dict.fromkeys(_column_of(file, channel) for channel in channels.values())),
         tuple(qualities),
-        logs.motor_column or None,
+        logs.motor_rows[0] if logs.motor_rows else None,
     )
 
 
@@ -136,10 +136,11 @@ class RawTable:
 
     def add(self, cells: Mapping[str, pa.ChunkedArray]) -> None:
         """Add rows: their cells by column."""
-        columns, logs = self.columns, self.file.logs
-        if columns.motor is not None:
-            motors = pc.utf8_trim_whitespace(cells[columns.motor].cast(pa.string()))
-            own = pc.equal(motors, logs.motor_name)
+        columns = self.columns
+        if columns.motor is not None and self.file.logs.motor_rows:
+            column, motor = self.file.logs.motor_rows
+            motors = pc.utf8_trim_whitespace(cells[column].cast(pa.string()))
+            own = pc.equal(motors, motor)
             if not self._has_motor:
                 self._see(motors)
             if not self._has_motor and pc.any(own).as_py():
@@ -176,11 +177,10 @@ class RawTable:
         a wanted channel.
         """
         file, logs = self.file, self.file.logs
-        if not self._has_motor and self._seen:
-            how = f"no row of motor {logs.motor_name!r} in column {logs.motor_column!r}; there are "
-            raise LogError(
-                "log_column_missing", file.path, how + self._names_seen(), logs.motor_column
-            )
+        if logs.motor_rows and not self._has_motor and self._seen:
+            column, motor = logs.motor_rows
+            how = f"no row of motor {motor!r} in column {column!r}; there are "
+            raise LogError("log_column_missing", file.path, how + self._names_seen(), column)
         stamps, without_time = self._stamps()
         refused = {**refused, **without_time}
         if logs.layout == "long":

@@ -145,7 +145,7 @@ def added_files(
     Raises UsageError (``defaults``) where the fleet's defaults would change what was proposed.
     """
     claimed = {
-        (path.resolve(), flow.source, flow.field, spec.file.logs.motor_name)
+        (path.resolve(), flow.source, flow.field, spec.file.logs.motor_rows or ())
         for spec in fleet.motors
         for path in find_logs(spec)[0].values()
         for flow in (spec.file.channels["leakage_flow"],)
@@ -154,7 +154,7 @@ def added_files(
     files = {}
     for motor in proposal.motors:
         keys = motor.channels["leakage_flow"].keys
-        flow = (keys["source"], keys.get("field", ""), motor.logs.get("motor_name", ""))
+        flow = (keys["source"], keys.get("field", ""), tuple(motor.logs.get("motor_rows", ())))
         if any((path, *flow) in claimed for path in motor.files):
             continue
         own = _document(motor, *machine_of(motor, motor_type, oil, answers))

@@ -292,7 +292,7 @@ def _motors(table: Table, kind: Kind, asked: Asked) -> list[ProposedMotor]:
         names = several.get(column or "", ())
         readings = _of_readings(names)
         rows = [
-            (name if readings == names else kind.name, {"motor_column": column, "motor_name": name})
+            (name if readings == names else kind.name, {"motor_rows": [column, name]})
             for name in readings
         ]
     signals = replace(signals, left_out=unread_columns(table))

@@ -66,7 +66,7 @@ DAY_US, LONGEST_STEP_US = 86_400 * SECOND_US, 60 * SECOND_US
 HOW_TO_MEND = {
     "duplicate_time": "do its stamps lack seconds, or fractions of them, are they of another "
     "column than logs.time should have, or are its rows of several motors? Correct "
-    "logs.time_format, logs.time or logs.motor_column",
+    "logs.time_format, logs.time or logs.motor_rows",
     "backward_time": "is its time written in another form, or zone, or do several logs cover it? "
     "Correct logs.time_format, or have a log a night written in order",
     "out_of_range": "is its unit, or valid_range, another, or a negative number written as one "

@@ -68,6 +68,8 @@ ENVIRONMENT: Mapping[str, str] = {
     "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
 }
 HUGE_PAGES = "glibc.malloc.hugetlb=1"
+# Memory that a worker has at least: a day at 100 Hz takes 0.9 GiB at its peak [bytes].
+LEAST_MEMORY = 4 << 30
 # So often the run looks at the marks [s].
 LOOK_S = 0.25
 # A worker that has not ended by itself so long after its time is killed [s].
@@ -154,6 +156,12 @@ class Workers:
                 yield lost(task, loss)
 
 
+def memory_of(n_workers: int) -> int:
+    """Return the memory that each of some workers may take of this machine's [bytes]."""
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(machine // n_workers, LEAST_MEMORY)
+
+
 @contextmanager
 def open_pool(execution: Execution) -> Iterator[Pool]:
     """Open worker processes for all tasks of a run, started when there are tasks for them."""
@@ -212,7 +220,7 @@ class Pool:
                 # Otherwise arrays go through shared memory, which may be small.
                 max_nbytes=None,
                 initializer=begin_worker,
-                initargs=(os.getpid(), str(self.folder), self.execution.memory_limit_mib << 20),
+                initargs=(os.getpid(), str(self.folder), memory_of(self.execution.workers)),
             )
             results: Generator[tuple[int, Any, str]] = parallel(calls(first))
             begun: set[int] = set()

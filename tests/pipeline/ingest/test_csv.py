@@ -40,7 +40,7 @@ TAGS = "\n".join(
     ]
 )
 MOTORS = f"time,machine,dp,n\n{DAY}0Z,A 1,1,1\n{DAY}0Z,A 2,2,2\n{DAY}1Z, A 1 ,3,3\n{DAY}1Z,,9,9\n"
-MOTOR = {"motor_column": "machine", "motor_name": "A 1"}
+MOTOR = {"motor_rows": ("machine", "A 1")}
 LATIN = "time,T (°C),n\n".encode("latin-1") + f"{DAY}0Z,50,2\n".encode()
 IN_STOCKHOLM = {"time_zone": "Europe/Stockholm"}
 APART = {"date_column": "date", "time_format": "%d.%m.%Y %H:%M:%S"}
@@ -211,7 +211,7 @@ REFUSED: dict[str, tuple[bytes | str, dict[str, Any], str]] = {
         *({}, f"log_damaged: in its row: '{DAY}7Z"),
     ),
     "no row of the motor": (
-        *(MOTORS, {**MOTOR, "motor_name": "A 3"}),
+        *(MOTORS, {"motor_rows": ("machine", "A 3")}),
         "log_column_missing: no row of motor 'A 3' in column 'machine'; there are 'A 1', 'A 2'",
     ),
     **{

@@ -143,11 +143,11 @@ CASES: Mapping[str, Case] = {
     ),
     "motors of rows, by the column's name": Case(
         {"a.csv": text(f"Maschinen-Nr,{GERMAN}", *PRESSES)},
-        {"Presse-1": {}, "Presse-2": {"motor_column": "Maschinen-Nr", "motor_name": "Presse 2"}},
+        {"Presse-1": {}, "Presse-2": {"motor_rows": "['Maschinen-Nr', 'Presse 2']"}},
     ),
     "motors of rows, by common stamps": Case(
         {"a.csv": several(f"where,{GERMAN}", *PRESSES)},
-        {"Presse-1": {}, "Presse-2": {"motor_column": "where"}},
+        {"Presse-1": {}, "Presse-2": {"motor_rows": "['where', 'Presse 2']"}},
     ),
     "a state is no motor": Case({"a.csv": text(f"where,{GERMAN}", *PRESSES)}, {"a": {}}),
     "gauges that tags are of are no motors": Case(
@@ -260,7 +260,7 @@ CASES: Mapping[str, Case] = {
     ),
     "of statistics in rows the means are read": Case(
         {"a.csv": several(f"statistic,{FOUR}", *(f"{of},{CELLS}" for of in ("avg", "max", "min")))},
-        {"a": {"motor_column": "statistic", "motor_name": "avg"}},
+        {"a": {"motor_rows": "['statistic', 'avg']"}},
     ),
     "a unit in each row": Case(
         {"a.csv": text("dp [bar],T [°C],n [rpm],leak,leak_unit", f"{CELLS},ml/min")},

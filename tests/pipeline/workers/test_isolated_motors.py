@@ -15,7 +15,7 @@ import pipeline.run.motor_task
 import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
-from pipeline.workers import process
+from pipeline.workers import engine, process
 from pipeline.workers.engine import Workers
 from pipeline.workers.process import Loss, Mark
 from tests.pipeline.misbehaviour import Misbehaving, fit_with_pipes_as_files
@@ -112,7 +112,7 @@ def run_isolated(workshop: Workshop, limits: str) -> RunResult:
     [
         ("kill", "", "worker_died"),
         ("hang_in_c", "timeout_s = 15.0", "task_timeout"),
-        ("eat_with_numpy", "memory_limit_mib = 1500", "task_memory"),
+        ("eat_with_numpy", "", "task_memory"),
         ("panic", "", "internal"),
     ],
 )
@@ -120,6 +120,7 @@ def test_a_night_that_takes_its_worker_along_costs_no_other_night(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch, what: str, limits: str, code: str
 ) -> None:
     write_logs(workshop, *MOTORS)
+    monkeypatch.setattr(engine, "memory_of", lambda _: 1500 << 20)
     bad = Misbehaving("M2", what, str(BAD))
     monkeypatch.setattr(pipeline.run.fleet, "run_motor", bad.fit)
     run_isolated(workshop, limits)

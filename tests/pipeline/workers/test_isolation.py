@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.config import Execution
+from pipeline.workers import engine
 from pipeline.workers.engine import HUGE_PAGES, Workers, open_workers
 from pipeline.workers.process import Loss
 from tests.pipeline.misbehaviour import (
@@ -26,7 +28,7 @@ from tests.pipeline.misbehaviour import (
     workers_of,
 )
 
-LIMITS = Execution(workers=2, timeout_s=20.0, memory_limit_mib=700)
+LIMITS = Execution(workers=2, timeout_s=20.0)
 HASTY = LIMITS.model_copy(update={"timeout_s": 2.0})
 # By what a task does: the code of its loss, and words that say what it was and where.
 EXPECTED = {
@@ -53,6 +55,8 @@ def pool() -> Iterator[Workers]:
     """Two workers, which leave nothing of themselves behind."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("GLIBC_TUNABLES", "glibc.malloc.check=3")
+        patched.setattr(engine, "memory_of", lambda _: 700 << 20)
+        importlib.import_module("joblib")  # which sets a variable of its own
         before = dict(os.environ)
         with open_workers(LIMITS) as workers:
             yield workers
