@@ -400,5 +400,5 @@ def test_a_bomb_is_stopped_long_before_its_end(
     path.write_bytes(gzip.compress(b"1,2\n" * 2**23, 9) + gzip.compress(noise))
     sizes: list[int] = []
     with pytest.raises(LogError, match="expand to more"):
-        sizes.extend(len(data) for data in pipeline.ingest.csv.unpacked(path, 2**18))
+        sizes.extend(len(data) for data in pipeline.ingest.csv.unpack(path, 2**18))
     assert sum(sizes) < 2**25
