@@ -1,17 +1,17 @@
 """Typed config: the only door for settings.
 
 `loading` reads a fleet's files, with the faults that only show between them, into `fleet`. A module
-a file: `settings` (fleet file, with `alarms`), `motors` (with `logs` and `channels`), `motor_types`
+a file: `settings` (fleet file), `motors` (with `logs` and `channels`), `motor_types`
 (with oils). `hashes` says what a change of settings makes anew; `nights` are a fleet's days.
 """
 
-from pipeline.config.alarms import Alarms
 from pipeline.config.channels import Channel
 from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
 from pipeline.config.loading import load_fleet
 from pipeline.config.motors import MotorFile
 from pipeline.config.section import ConfigError, Fault
 from pipeline.config.settings import (
+    Alarms,
     Cleaning,
     Execution,
     Nights,

@@ -18,8 +18,8 @@ from typing import Any
 
 from leakage import Motor
 from leakage.estimation.blocks import ChosenPeriods
-from pipeline.config.dialect import reader_entry, reader_version
 from pipeline.config.fleet import MotorSpec
+from pipeline.config.logs import reader_entry, reader_version
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.section import Stage
 

@@ -20,8 +20,7 @@ from pipeline.config.channels import (
     Channel,
     ChannelName,
 )
-from pipeline.config.dialect import field_path
-from pipeline.config.logs import Logs
+from pipeline.config.logs import Logs, field_path
 from pipeline.config.motor_types import OilSample, order_faults
 from pipeline.config.nights import Night
 from pipeline.config.section import (

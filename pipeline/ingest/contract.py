@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Rows
 from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.channels import COUNTED, Channel, Channels
-from pipeline.config.dialect import reader_entry, reader_version
-from pipeline.config.logs import Logs
+from pipeline.config.logs import Logs, reader_entry, reader_version
 from pipeline.errors import LogError
 from pipeline.ingest.time_stamps import EARLIEST_US, LATEST_US
 from pipeline.units import CHANNELS, to_canonical

@@ -24,8 +24,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
-from pipeline.config.logs import Logs
+from pipeline.config.logs import EPOCH_UNITS, EXCEL_DAYS, Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.cells import NUMBER_LIKE

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
+from pipeline.config.logs import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.cells import is_number, is_text

@@ -18,7 +18,7 @@ import polars as pl
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, parse_stamps
+from pipeline.config.logs import EPOCH_UNITS, EXCEL_DAYS, parse_stamps
 from pipeline.ingest.cells import is_text, nulls
 
 EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000

@@ -17,8 +17,15 @@ from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
-from pipeline.logs.dates import has_no_span, with_known_nights, without_misdated
-from pipeline.logs.files import failed_record, labels_of, reaches_us, with_coverage
+from pipeline.logs.files import (
+    failed_record,
+    has_no_span,
+    labels_of,
+    reaches_us,
+    with_coverage,
+    with_known_nights,
+    without_misdated,
+)
 from pipeline.logs.finding import FolderLogs, logs_of, require_answer
 from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive

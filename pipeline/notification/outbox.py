@@ -88,7 +88,7 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
         receivers.append(Command(settings.command))
     if settings.webhook_url or settings.email.to:
         # Whose libraries take their time.
-        from pipeline.notification.servers import Mail, WebHook
+        from pipeline.notification.delivery import Mail, WebHook
 
         if settings.webhook_url:
             of_hook = settings.webhook_url, settings.webhook_headers, settings.webhook_secret

@@ -15,15 +15,17 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, night, night_of
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel
-from pipeline.logs.dates import dated_otherwise, misdated_message, without_misdated
 from pipeline.logs.files import (
     change_of,
+    dated_otherwise,
     failed_record,
     labels_of,
+    misdated_message,
     reaches_us,
     slice_night,
     stat_log,
     with_span,
+    without_misdated,
 )
 from pipeline.logs.finding import FolderLogs, logs_of
 from pipeline.logs.motor_logs import MotorLogs

@@ -21,11 +21,10 @@ import numpy as np
 
 from pipeline.clock import now, utc
 from pipeline.config import Channel, Fleet
-from pipeline.config.alarms import Alarms
 from pipeline.config.channels import PORT_PRESSURES
 from pipeline.config.loading import NAME_MARK, complete, validate, with_name
 from pipeline.config.logs import Logs
-from pipeline.config.settings import ReferenceConditions
+from pipeline.config.settings import Alarms, ReferenceConditions
 from pipeline.errors import LogError, UsageError
 from pipeline.ingest import read_log, time_span
 from pipeline.logs.finding import find_logs

@@ -21,7 +21,7 @@ from pipeline.config import Channel
 from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
-from pipeline.logs.dates import NEAR_DAYS, days_off
+from pipeline.logs.files import NEAR_DAYS, days_off
 from pipeline.logs.finding import SUFFIXES, logs_below, suffix_of
 from pipeline.setup.layouts import Kind, kinds_of
 from pipeline.setup.names import groups_of, is_in, meaning_of, unit_named, words_of

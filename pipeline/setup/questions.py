@@ -15,8 +15,8 @@ from statistics import median
 from typing import Any
 
 from pipeline.config.channels import COUNTED, GOOD_QUALITY, PORT_PRESSURES, PULSES, TOTAL, Channel
-from pipeline.config.dialect import require_time_format
 from pipeline.config.loading import validate
+from pipeline.config.logs import require_time_format
 from pipeline.config.section import known_zone
 from pipeline.errors import UsageError
 from pipeline.messages import plain

@@ -18,8 +18,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 
-from pipeline.config.dialect import FieldPath, path_text
-from pipeline.config.logs import Logs
+from pipeline.config.logs import FieldPath, Logs, path_text
 from pipeline.errors import LogError
 from pipeline.ingest import cells as log_cells
 from pipeline.ingest.contract import readable

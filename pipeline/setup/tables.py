@@ -17,8 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.clock import latest_us, microseconds, utc
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS
-from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
+from pipeline.config.logs import EPOCH_UNITS, EXCEL_DAYS, MISSING_TOKENS, THOUSANDS
 from pipeline.errors import LogError
 from pipeline.ingest.time_stamps import EARLIEST_US, parse_numbers, parse_written
 from pipeline.setup.names import is_in, words_of

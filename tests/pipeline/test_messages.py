@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config.dialect import FieldPath, field_path, path_text
+from pipeline.config.logs import FieldPath, field_path, path_text
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_parent
 from tests.pipeline.calling import Call, python
 

@@ -16,9 +16,8 @@ import polars as pl
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.config.alarms import Email
-from pipeline.notification.delivery import SUMMARY, Delivery
-from pipeline.notification.servers import message_of
+from pipeline.config.settings import Email
+from pipeline.notification.delivery import SUMMARY, Delivery, message_of
 from pipeline.run.notification import summary_rows
 from tests.scenarios.command import ROOT
 from tests.scenarios.conftest import DEMO_NIGHTS, FIRST_FITTED

@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import Rows
-from pipeline.config.dialect import EPOCH_UNITS, EXCEL_DAYS, FieldPath, path_text
+from pipeline.config.logs import EPOCH_UNITS, EXCEL_DAYS, FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.messages import Messages, fields_at

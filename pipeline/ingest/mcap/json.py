@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as arrow_json
 
-from pipeline.config.dialect import FieldPath
+from pipeline.config.logs import FieldPath
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.cells import nulls
 from pipeline.ingest.mcap.decoding import (

@@ -19,8 +19,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
-from pipeline.config.dialect import FieldPath, field_path, path_text
-from pipeline.config.logs import Logs
+from pipeline.config.logs import FieldPath, Logs, field_path, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Gathered, drop_bad_stamps, raw_log
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, Reader, span

@@ -15,7 +15,7 @@ from typing import Any
 
 from mcap.records import Schema
 
-from pipeline.config.dialect import FieldPath, path_text
+from pipeline.config.logs import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.mcap.decoding import (
     Decoded,

@@ -24,7 +24,7 @@ from mcap_ros2._dynamic import TimeDefinition, _for_each_msgdef
 from mcap_ros2._vendor.rosidl_adapter.parser import MessageSpecification
 from numpy.typing import NDArray
 
-from pipeline.config.dialect import FieldPath, path_text
+from pipeline.config.logs import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap.decoding import (

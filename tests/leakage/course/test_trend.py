@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from leakage.course.sensor_zero import zero_course
 from leakage.course.trend import (
     KAPPAS,
     POWERS,
@@ -19,6 +18,7 @@ from leakage.course.trend import (
     fit_slope,
     time_to_limit,
     whiten,
+    zero_course,
 )
 from tests.leakage.made_samples import autoregression
 

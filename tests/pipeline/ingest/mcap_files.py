@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
-from pipeline.config.dialect import field_path
+from pipeline.config.logs import field_path
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US

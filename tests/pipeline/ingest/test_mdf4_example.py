@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.config import dialect, load_fleet
+from pipeline.config import load_fleet, logs
 from pipeline.ingest.conformance import (
     Check,
     checks_of,
@@ -31,12 +31,12 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     info = tmp_path / "site-packages" / "mdf4-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Name: mdf4\nVersion: 1.0\n", "utf-8")
-    entry = f"[{dialect.GROUP}]\nmdf4 = mdf4_reader:READER\n"
+    entry = f"[{logs.GROUP}]\nmdf4 = mdf4_reader:READER\n"
     (info / "entry_points.txt").write_text(entry, "utf-8")
     monkeypatch.syspath_prepend(str(info.parent))
-    dialect.installed_readers.cache_clear()
+    logs.installed_readers.cache_clear()
     yield
-    dialect.installed_readers.cache_clear()
+    logs.installed_readers.cache_clear()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config import dialect
+from pipeline.config import logs as config_logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import CHANNELS
@@ -46,12 +46,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
         info = site / f"{package.replace('-', '_')}-{version}.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Name: {package}\nVersion: {version}\n", "utf-8")
-        entry = f"[{dialect.GROUP}]\n{package[:4]} = {module}:READER\n"
+        entry = f"[{config_logs.GROUP}]\n{package[:4]} = {module}:READER\n"
         (info / "entry_points.txt").write_text(entry, "utf-8")
-        dialect.installed_readers.cache_clear()
+        config_logs.installed_readers.cache_clear()
 
     yield add
-    dialect.installed_readers.cache_clear()
+    config_logs.installed_readers.cache_clear()
 
 
 def test_a_format_that_nothing_reads_is_a_fault_with_those_that_there_are(install: Install) -> None:

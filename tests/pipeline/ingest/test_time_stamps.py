@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from pipeline.config.dialect import EPOCH_UNITS, require_time_format
+from pipeline.config.logs import EPOCH_UNITS, require_time_format
 from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.time_stamps import (
     TimeStamps,

@@ -18,8 +18,14 @@ from pipeline.config.nights import DAY, night
 from pipeline.demo import shipped_configs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.logs.dates import dated_otherwise, with_known_nights
-from pipeline.logs.files import LONGEST_LOG_DAYS, labels_of, slice_night, with_coverage
+from pipeline.logs.files import (
+    LONGEST_LOG_DAYS,
+    dated_otherwise,
+    labels_of,
+    slice_night,
+    with_coverage,
+    with_known_nights,
+)
 from pipeline.logs.finding import FolderLogs, find_logs
 from pipeline.logs.processed import (
     FileRecord,

@@ -18,9 +18,8 @@ import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import SMTP, AuthResult, Envelope, LoginPassword, Session
 
-from pipeline.config.alarms import Email
-from pipeline.notification.delivery import Delivery, UndeliveredError
-from pipeline.notification.servers import Mail
+from pipeline.config.settings import Email
+from pipeline.notification.delivery import Delivery, Mail, UndeliveredError
 
 CERTIFICATE = Path(__file__).with_name("server.pem")
 PASSWORD = "correct horse"  # noqa: S105

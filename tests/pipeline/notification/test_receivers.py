@@ -14,8 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
-from pipeline.notification.delivery import Command, Delivery, Receiver, UndeliveredError
-from pipeline.notification.servers import WebHook
+from pipeline.notification.delivery import Command, Delivery, Receiver, UndeliveredError, WebHook
 from tests.pipeline.notification.servers import Hook, hook, raw
 
 CONTENT = '{"reason": "; rm -rf $HOME `id` ñ"}'.encode()
