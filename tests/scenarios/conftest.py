@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -129,3 +131,19 @@ def others(shared_folder: Path) -> ScenarioFleet:
 def plant(shared_plant: ScenarioFleet, tmp_path: Path) -> ScenarioFleet:
     """A fitted fleet of three motors and twenty nights of one's own."""
     return shared_plant.copy(tmp_path / "plant")
+
+
+@pytest.fixture
+def turn_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
+    """Turn this machine's clock forward by some time, as the command sees it."""
+
+    def turn(by: dt.timedelta) -> None:
+        class Turned(dt.datetime):
+            @classmethod
+            def now(cls, tz: dt.tzinfo | None = None) -> dt.datetime:  # type: ignore[override]
+                return dt.datetime.now(tz) + by
+
+        shown = SimpleNamespace(datetime=Turned, timedelta=dt.timedelta, UTC=dt.UTC)
+        monkeypatch.setattr("pipeline.clock.dt", shown)
+
+    return turn

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import polars as pl
 import pytest
@@ -192,22 +191,6 @@ def test_a_corrected_setting_redoes_what_it_can_and_names_the_others(
     assert all(why.endswith("its logs are gone") for why in motor["stays"].values())
     assert_frame_equal(figures(fleet).head(2), before.head(2))
     assert fleet.run("fit-fleet", "--json").events("motor")[0]["stays"] == {}
-
-
-@pytest.fixture
-def turn_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[dt.timedelta], None]:
-    """Turn this machine's clock forward by some time, as the command sees it."""
-
-    def turn(by: dt.timedelta) -> None:
-        class Turned(dt.datetime):
-            @classmethod
-            def now(cls, tz: dt.tzinfo | None = None) -> dt.datetime:  # type: ignore[override]
-                return dt.datetime.now(tz) + by
-
-        shown = SimpleNamespace(datetime=Turned, timedelta=dt.timedelta, UTC=dt.UTC)
-        monkeypatch.setattr("pipeline.clock.dt", shown)
-
-    return turn
 
 
 def test_a_refusal_by_the_clock_is_tried_again_once_it_has_passed_the_stamps(
