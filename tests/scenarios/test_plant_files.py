@@ -528,9 +528,9 @@ def test_on_its_first_day_a_motor_has_no_fault(
 ) -> None:
     """Four minutes of a log so far: too few for a fit, and nothing to mend; a day later it is."""
     now = dt.datetime.now(dt.UTC)
-    noon = now.replace(hour=12, minute=0)  # far from the hour at which a night ends
-    turn_clock(noon - now)
-    began = noon - dt.timedelta(minutes=5)
+    midday = now.replace(hour=12, minute=30)  # nights end at a full hour
+    turn_clock(midday - now)
+    began = midday - dt.timedelta(minutes=5)
     head, *lines = wide().splitlines()[: 1 + 4 * 60]
 
     def since(begin: dt.datetime) -> Files:
