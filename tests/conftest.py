@@ -9,7 +9,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -51,6 +51,13 @@ DEMO_MINUTES = 42.0
 def pytest_configure(config: pytest.Config) -> None:
     """`make test-full`, which selects nothing, draws more examples."""
     settings.load_profile("quick" if config.option.markexpr else "patient")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file() -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    """Look for examples in the docstrings of the product alone: tests have none."""
+    collected = yield
+    return [node for node in collected if type(node) is pytest.Module]
 
 
 class OwnFleet(Protocol):

@@ -29,8 +29,10 @@ from tests.scenarios.command import CALLS, run_command
 from tests.scenarios.covering import declared_by, items_of
 from tests.scenarios.fleets import DAY, FIRST, ScenarioFleet, Simulated, make_fleet, ramp, step
 
-# Of the demo's nights those are made and fitted that show all wear from its begin on.
-DEMO_NIGHTS, FIRST_FITTED = 54, 16
+# Of the demo's nights those are made and fitted that show a motor's wear from its begin on.
+DEMO_NIGHTS = 54
+FIRST_FITTED = dict.fromkeys((motor.motor_id for motor in DEMO_FLEET), 20)
+FIRST_FITTED |= {"CB400-01": 32, "CB560-01": 34, "CB1120-01": 16}
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +57,7 @@ def _demo(shared_folder: Path) -> ScenarioFleet:
         nights = [
             DemoNight(motor, specs(motor.motor_id), plan, number)
             for motor in DEMO_FLEET
-            for number in range(FIRST_FITTED, DEMO_NIGHTS + 1)
+            for number in range(FIRST_FITTED[motor.motor_id], DEMO_NIGHTS + 1)
         ]
         for night in nights:
             motor = night.spec.file

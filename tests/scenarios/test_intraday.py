@@ -203,11 +203,11 @@ def check(folder: Path, _: Path) -> None:
 
 EVERY = [
     pytest.param(fault, every, marks=pytest.mark.full)
-    for fault, every in [("full", 97), *((fault, 1) for fault in FAULTS)]
+    for fault, every in [("full", 197), *((fault, 1) for fault in FAULTS)]
 ]
 
 
-@pytest.mark.parametrize(("fault", "every"), [("killed", 97), *EVERY])
+@pytest.mark.parametrize(("fault", "every"), [("killed", 197), *EVERY])
 def test_a_check_that_is_broken_off_anywhere_is_made_up_for(
     fleet: ScenarioFleet, tmp_path: Path, fault: Fault, every: int
 ) -> None:

@@ -6,6 +6,7 @@ its own film law (Barus at the pressure difference); the machine may follow anot
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -158,13 +159,29 @@ def watched(
     settings: WatchSettings | None = None,
     first: int | None = None,
 ) -> list[Watch]:
-    """The watch after each night from the end of the baseline on."""
+    """The watch after each night from the end of the baseline on.
+
+    A watch hangs on its nights so far alone: where plants begin alike, it is made once.
+    """
     settings = settings or WatchSettings()
     first = first or settings.baseline_nights
-    found = [Watch.begin(machine, nights[:first], settings)]
-    for last in range(first, len(nights)):
-        found.append(found[-1].after(nights[last], earlier_of(nights[: last + 1])))
+    so_far, found = hashlib.sha256(repr((machine, settings, first)).encode()), []
+    for last, night in enumerate(nights, start=1):
+        for values in (night.day, night.middle_s, night.drives, night.flow, night.conditions):
+            so_far.update(np.ascontiguousarray(values).tobytes())
+        if last < first:
+            continue
+        if (key := so_far.digest()) not in _WATCHED:
+            _WATCHED[key] = (
+                found[-1].after(night, earlier_of(nights[:last]))
+                if found
+                else Watch.begin(machine, nights[:last], settings)
+            )
+        found.append(_WATCHED[key])
     return found
+
+
+_WATCHED: dict[bytes, Watch] = {}
 
 
 def earlier_of(nights: Sequence[NightBlocks]) -> Callable[[int], Sequence[NightBlocks]]:
