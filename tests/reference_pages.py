@@ -100,7 +100,10 @@ def _tables(
     headings: dict[Any, str] = {tuple: f"[[{name}]]", dict: f"[{name}.<name>]"}
     heading = headings.get(get_origin(field.annotation), f"[{name}]")
     if len(tables) < 2:
-        yield from ((heading, _words(table), table, table.model_fields) for table in tables)
+        for table in tables:
+            yield heading, _words(table), table, table.model_fields
+            for key, inner in table.model_fields.items():
+                yield from _tables(f"{name}.{key}", inner) if _has_heading(inner) else ()
         return
     words = (
         "Keys of all; `law` says which a path has besides. A key with four defaults is a table of "
@@ -114,12 +117,17 @@ def _tables(
         yield f'{heading} with law = "{law}"', _words(table), table, own
 
 
-def _key_lines(
-    model: type[Section], fields: Mapping[str, FieldInfo], prefix: str = ""
-) -> Iterator[str]:
-    """A line on each key, those of a table in a table behind it."""
+def _has_heading(field: FieldInfo) -> bool:
+    """Whether a key is a table that a file gives a heading, which a parameter is not."""
+    return any(not issubclass(table, Unknown) for table in _sections(field.annotation))
+
+
+def _key_lines(model: type[Section], fields: Mapping[str, FieldInfo]) -> Iterator[str]:
+    """A line on each key but tables with a heading."""
     meanings = _meanings(model)
     for name, field in fields.items():
+        if _has_heading(field):
+            continue
         table = next(_sections(field.annotation), Section)
         words = meanings.get(name) or _words(table)
         words = " ".join(words.split()).removesuffix(".")
@@ -128,9 +136,7 @@ def _key_lines(
         choices = [f"`{choice}`" for choice in _choices(field.annotation) if choice not in named]
         how += [" ".join(choices)] * bool(choices)
         how += ["required"] * field.is_required()
-        yield f"- `{prefix}{name}` ({', '.join(how)}): {words}"
-        if not issubclass(table, Unknown):
-            yield from _key_lines(table, table.model_fields, f"{prefix}{name}.")
+        yield f"- `{name}` ({', '.join(how)}): {words}"
 
 
 def _meanings(model: type) -> dict[str, str]:

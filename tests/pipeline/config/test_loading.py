@@ -13,7 +13,7 @@ from tests.pipeline.config.conftest import MOTOR, OIL, SAMPLE, TYPE, Configs
 from tests.pipeline.simulated import FLEET, write_configs
 from tests.reference_pages import config_reference
 
-MOST_SETTINGS = 131
+MOST_SETTINGS = 130
 
 
 def test_no_more_settings_than_a_plant_has_reasons_for() -> None:
