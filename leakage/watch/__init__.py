@@ -5,8 +5,9 @@ bottom up: `nights` (what goes in and comes out), `choices` (constants, with the
 `within_night` (errors within a night), `baseline` (what the first nights fix), `wander` (errors
 from night to night), `causes`, `evidence` (of every start, shape and cause), `attribution` (since,
 how much, which cause), `circuit` (beside the circuit's other motors), `state` (with the figures of
-the newest nights), `adoption` (a change detected, and what it leaves behind), `watch` (night by
-night), `comparison` (before and after a date), `intraday` (the night so far).
+the newest nights), `periods` (baseline periods), `adoption` (a change detected, and what it leaves
+behind), `watch` (night by night), `comparison` (before and after a date), `intraday` (the night so
+far).
 """
 
 from leakage.watch.comparison import Comparison, compare

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,25 +17,25 @@ from leakage.watch.attribution import (
     share_of_flow,
     share_of_leakage,
 )
-from leakage.watch.baseline import N_TEMPERATURE, Baseline, baseline_of
+from leakage.watch.baseline import N_TEMPERATURE
 from leakage.watch.causes import (
     BACK,
     NOT_IDENTIFIED,
     ODD_NIGHTS,
     TANK,
     TEMPERATURE_EFFECT,
+    UNSIZED,
     Cause,
     back_as_before,
 )
 from leakage.watch.circuit import CircuitChange
-from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, Window, starts_of
+from leakage.watch.evidence import STEP, Causes, Evidence, Places, Sums, starts_of
 from leakage.watch.nights import (
     RAMPS,
     SEVERAL,
     Change,
+    Estimate,
     Machine,
-    NightBlocks,
-    WatchSettings,
     grown_as,
 )
 from leakage.watch.odd_nights import odd_nights_are_single, of_odd_night, with_odd_nights
@@ -56,8 +55,8 @@ from leakage.watch.state import (
     probability_back,
     settle_event,
     since_before,
+    with_model_error,
 )
-from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
 
 def detect_change(state: WatchState) -> WatchState:
@@ -123,13 +122,17 @@ def settling_change(state: WatchState) -> WatchState:
 def _reversal(state: WatchState) -> WatchState | None:
     """Return the change that settles, adopted as it was, with a reversal; None if none settles.
 
-    A first change that is undone needs none: it is withdrawn, or at rest once it has settled.
+    A first change that is undone needs none: it is withdrawn, or at rest once it has settled. The
+    level since then shows what is a reversal, too.
     """
     behind = detect_change(_take_for_granted(state))
     before, now = state.in_force, behind.in_force
     assert before is not None
     assert now is not None
     if now.attribution is None or now.change.is_rise == before.change.is_rise:
+        return None
+    level = since_before(behind, now.attribution.start)
+    if level.holds_zero or (level.value > 0.0) != now.change.is_rise:
         return None
     return None if before.prior is None and present(behind).holds_zero else behind
 
@@ -164,17 +167,13 @@ def in_force_of(
     circuit: CircuitChange | None = None,
 ) -> ChangeInForce:
     """Return the change that is detected from a day on, with its name."""
-    name, leakage = _name(state, evidence, attribution), attribution.leakage
-    if TEMPERATURE_EFFECT in (
-        name.likeliest.name,
-        evidence.causes.every[attribution.likeliest].name,
-    ):
-        # Its size is none of the leakage. Where that has changed at the motor's usual operating
-        # point, with evidence of its own, no effect of temperature explains it.
-        level = since_before(state, attribution.start)
-        if 0.5 * (level.value / level.sd) ** 2 >= state.settings.limit:
-            name, leakage = name.opened(), level
+    name, leakage = _name(state, evidence, attribution)
     prior = _before(state, detected_on)
+    stands = prior is not None and prior.change.cause not in UNSIZED
+    if prior is not None and stands and name.cause == TEMPERATURE_EFFECT:
+        # It is no end of what stands.
+        change = replace(prior.change, detected_on=detected_on)
+        return replace(prior, change=change, attribution=attribution, prior=prior)
     is_rise = leakage.value > 0.0
     if circuit is not None and circuit.is_common:
         name = replace(name, cause=TANK, probability=circuit.probability, alike=())
@@ -218,14 +217,26 @@ def in_force_of(
     return ChangeInForce(change, along, of_leakage, before, attribution, prior, circuit)
 
 
-def _name(state: WatchState, evidence: Evidence, attribution: Attribution) -> Name:
-    """Return a change's name; its cause is open until the evidence has reached the limit."""
+def _name(state: WatchState, evidence: Evidence, attribution: Attribution) -> tuple[Name, Estimate]:
+    """Return a change's name and size; its cause is open until the evidence reaches the limit."""
     name = name_of(evidence, state.machine, state.baseline, attribution.start, attribution.drain)
-    before = state.in_force
+    before, limit = state.in_force, state.settings.limit
     is_open = before is None or before.attribution is None or not before.change.candidates
-    if is_open and state.evidence < state.settings.limit:
-        return name.opened()
-    return name
+    if is_open and state.evidence < limit:
+        name = name.opened()
+    likeliest = evidence.causes.every[attribution.likeliest]
+    if TEMPERATURE_EFFECT not in (name.likeliest.name, likeliest.name):
+        return name, attribution.leakage
+    # Its size is none of the leakage. Where that has changed at the motor's usual operating point,
+    # with evidence of its own, no effect of temperature explains it; nor is it the name where the
+    # mean of the last nights shows the same.
+    level = since_before(state, attribution.start)
+    mean = with_model_error(state, present(state))
+    is_shown = not (level.holds_zero or mean.holds_zero) and level.value * mean.value > 0.0
+    is_named = name.cause == TEMPERATURE_EFFECT
+    if (is_named and is_shown) or 0.5 * (level.value / level.sd) ** 2 >= limit:
+        return name.opened(), level
+    return name, attribution.leakage
 
 
 def _is_the_same(before: Change, name: Name, *, is_rise: bool) -> bool:
@@ -248,48 +259,6 @@ def _before(state: WatchState, detected_on: int) -> ChangeInForce | None:
     return replace(in_force, prior=None)
 
 
-Earlier = Callable[[int], Sequence[NightBlocks]]
-
-
-def begin(
-    machine: Machine,
-    nights: Sequence[NightBlocks],
-    settings: WatchSettings,
-    prior: WanderPrior | None = None,
-    *,
-    has_further: bool | None = None,
-) -> WatchState:
-    """Return the state after the nights of a baseline, of the form that is given, if any."""
-    baseline = baseline_of(machine, nights, has_further=has_further)
-    information, score = map(np.array, zip(*map(baseline.information, nights), strict=True))
-    window = Window(
-        np.array([night.day for night in nights]),
-        information,
-        score,
-        np.array([baseline.distance(night) for night in nights]),
-        np.zeros(len(nights)),
-        baseline.columns.prior(),
-        np.zeros(baseline.columns.n),
-    )
-    wander = wander_of(baseline, window, prior or WanderPrior())
-    causes = all_causes(machine, baseline, None)
-    return WatchState(
-        machine,
-        settings,
-        baseline,
-        window,
-        Sums.of(window, wander, causes.basis),
-        wander,
-        causes,
-        first_step=nights[-1].day + 1,
-        first_ramp=nights[0].day,
-        usual_misfit=baseline.usual_misfit(nights),
-        n_baseline=len(nights),
-        n_nights=len(nights),
-        due=math.ceil(len(nights) * choices.ANEW_FACTOR),
-    )
-
-
 def adopt(state: WatchState) -> WatchState:
     """Return the state behind a change that was detected ten nights ago: it is taken as known."""
     in_force = state.in_force
@@ -310,8 +279,8 @@ def _take_for_granted(final: WatchState) -> WatchState:
     likeliest, size = causes.every[attribution.likeliest], attribution.size.value
     along, of_flow = likeliest.direction, share_of_flow(likeliest, state.baseline)
     several = now.change.several
-    if now.change.is_several:
-        # What several causes have done is what the level of all flows says.
+    if now.change.is_several or not now.change.candidates:
+        # What several causes have done, or an unknown one, is what the level of all flows says.
         level = change_in_force(final)
         assert level is not None
         along, of_flow = state.baseline.leakage_flows, state.baseline.leakage_share
@@ -403,60 +372,6 @@ def _left_free(
     return left + np.diag(sd**2)
 
 
-def with_new_wander(state: WatchState) -> WatchState:
-    """Return the state with Q and φ of more nights, where it is time and nothing is near."""
-    so_far = state.n_nights - 1
-    if state.is_settling or not state.due or so_far < state.due:
-        return state
-    if state.evidence >= choices.ANEW_BELOW:
-        return state
-    taken = max(state.n_baseline, so_far - choices.ANEW_DELAY)
-    dropped = state.n_nights - len(state.window)
-    wander = wander_of(state.baseline, state.window, WanderPrior(), taken - dropped)
-    due = math.ceil(so_far * choices.ANEW_FACTOR)
-    sums = Sums.of(state.window, wander, state.causes.basis)
-    return replace(state, wander=wander, sums=sums, due=due)
-
-
-def new_period(state: WatchState, earlier: Earlier) -> WatchState:
-    """Return the watch by a baseline of the nights since a large change: it is another machine."""
-    assert state.period_from is not None
-    if len(state.window) - state.place(state.period_from) < choices.PERIOD_NIGHTS:
-        return state
-    nights = earlier(state.period_from)
-    if len(nights) < choices.PERIOD_NIGHTS:
-        return state
-    all_paths, p = state.baseline.all_paths, state.baseline.n_paths
-    spread = float(all_paths[:p] @ state.wander.spread @ all_paths[:p])
-    size = math.sqrt(spread) / float(all_paths @ all_paths)
-    period = begin(
-        state.machine,
-        nights,
-        state.settings,
-        WanderPrior(size, state.wander.memory),
-        has_further=len(state.baseline.columns.further) > 0,
-    )
-    columns, old = period.baseline.columns, state.baseline.columns
-    changed = np.zeros(columns.n)
-    changed[:p] = (columns.theta - old.theta) / columns.unit
-    undone = back_as_before(changed)
-    causes = all_causes(state.machine, period.baseline, undone)
-    in_force = state.in_force
-    if in_force is not None:
-        in_force = replace(in_force, along=period.baseline.leakage_flows, of_leakage=1.0)
-    return replace(
-        period,
-        sums=Sums.of(period.window, period.wander, causes.basis),
-        causes=causes,
-        undone=undone,
-        carried=on_first_baseline(state, slice(-len(nights), None)),
-        evidence=state.evidence,
-        in_force=in_force,
-        usual_misfit=state.usual_misfit,
-        misfits=state.misfits,
-    )
-
-
 def at_rest(state: WatchState) -> WatchState:
     """Return the state without a change in force where the flow is back where it was."""
     in_force = state.in_force
@@ -479,17 +394,3 @@ def shorten(state: WatchState) -> WatchState:
     window = replace(state.window.from_night(first, before, score), odd=state.window.odd[first:])
     sums = Sums.of(window, state.wander, state.causes.basis)
     return replace(state, window=window, sums=sums)
-
-
-def wander_of(
-    baseline: Baseline, window: Window, prior: WanderPrior, n_nights: int | None = None
-) -> Wander:
-    """Return wander of a window's first nights; of all of them where no number is given."""
-    return estimate_wander(
-        window.information[:n_nights],
-        window.score[:n_nights],
-        window.days[:n_nights],
-        baseline.all_paths[: baseline.n_paths],
-        baseline.columns.prior(),
-        prior,
-    )

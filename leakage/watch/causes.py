@@ -24,6 +24,8 @@ NOT_IDENTIFIED, CHANNELS = "not_identified", "channels"
 NO_LEAKAGE = (FLUSHING, ZERO)
 # What moves all flows together, and is no path.
 COMMON = (ALL_FLOWS, OIL_GRADE, TEMPERATURE_SENSOR, TEMPERATURE_EFFECT)
+# What is no change of the leakage that stays.
+UNSIZED = (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT)
 # Within these many degrees the factor of another oil is followed.
 STEP_K = 5.0
 

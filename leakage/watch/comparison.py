@@ -11,10 +11,11 @@ from scipy.special import expit
 
 from leakage.errors import EstimationError
 from leakage.watch import choices
-from leakage.watch.adoption import begin, with_evidence
+from leakage.watch.adoption import with_evidence
 from leakage.watch.attribution import name_of
 from leakage.watch.evidence import Evidence, Window
 from leakage.watch.nights import Estimate, Machine, NightBlocks, WatchSettings
+from leakage.watch.periods import begin
 from leakage.watch.state import WatchState
 from leakage.watch.watch import with_night
 

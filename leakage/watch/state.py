@@ -17,7 +17,15 @@ from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.attribution import Attribution
 from leakage.watch.baseline import Baseline
-from leakage.watch.causes import BACK, ODD_NIGHTS, TEMPERATURE_EFFECT, Cause, causes_of
+from leakage.watch.causes import (
+    BACK,
+    NOT_IDENTIFIED,
+    ODD_NIGHTS,
+    TEMPERATURE_EFFECT,
+    UNSIZED,
+    Cause,
+    causes_of,
+)
 from leakage.watch.circuit import CircuitChange
 from leakage.watch.evidence import Causes, Evidence, Parts, Sums, Window
 from leakage.watch.nights import (
@@ -422,7 +430,7 @@ def is_contradicted(state: WatchState) -> bool:
     A first change that settles is none, either, where its nights say the opposite.
     """
     in_force = state.in_force
-    if in_force is None or in_force.change.cause in (BACK, ODD_NIGHTS, TEMPERATURE_EFFECT):
+    if in_force is None or in_force.change.cause in UNSIZED:
         return False
     mean = mean_change(state)
     is_first = in_force.attribution is not None and in_force.prior is None
@@ -454,6 +462,9 @@ def reported_change(state: WatchState) -> Change | None:
     if change is not None and probability > choices.MOSTLY:
         candidates = {BACK: probability}
         return replace(change, cause=BACK, probability=probability, candidates=candidates, alike=())
+    if change is not None and change.cause == BACK and not mean_change(state).holds_zero:
+        # What is undone is another effect: the leakage is not back.
+        return replace(change, cause=NOT_IDENTIFIED, probability=0.0, candidates={}, alike=())
     return None if is_contradicted(state) else change
 
 

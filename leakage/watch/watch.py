@@ -19,23 +19,20 @@ import numpy as np
 from leakage.arrays import Array
 from leakage.watch import choices
 from leakage.watch.adoption import (
-    Earlier,
     across_event,
     adopt,
     at_rest,
-    begin,
     detect_change,
     in_force_of,
-    new_period,
     settling_change,
     shorten,
-    with_new_wander,
 )
 from leakage.watch.causes import ODD_NIGHTS
 from leakage.watch.circuit import circuit_change
 from leakage.watch.evidence import Sums
 from leakage.watch.nights import Estimate, Machine, NightBlocks, Verdict, WatchSettings
 from leakage.watch.odd_nights import channels_apart, with_misfit, without_apart
+from leakage.watch.periods import Earlier, begin, new_period, with_new_wander
 from leakage.watch.state import (
     WatchState,
     all_causes,
@@ -172,9 +169,7 @@ class Watch:
             return None
         end = max(1, state.place(first))
         level = state.level_along(state.baseline.leakage_flows)
-        after = level.mean(slice(place, place + most))
-        before = level.mean(slice(max(0, end - most), end))
-        return Estimate(after.value - before.value, math.hypot(after.sd, before.sd))
+        return level.difference(slice(place, place + most), slice(max(0, end - most), end))
 
     def leakage_at(self, drives: Array, conditions: Array) -> Estimate:
         """Return flow at some conditions, by the level of the newest night, [l/min].
