@@ -66,7 +66,7 @@ def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
 def export_csv(output: Path, folder: Path, request: CsvRequest) -> Iterator[tuple[Path, int]]:
     """Write each table as a CSV file, whole or not at all; yield the files, and their rows.
 
-    Null is an empty cell, an empty text a quoted one; times are ISO 8601 in UTC, lists JSON,
+    Null is an empty cell, an empty text is quoted; times are ISO 8601 in UTC, lists JSON,
     numbers as short as they can be read back unchanged.
 
     Raises UsageError (``no_tables``, ``csv_folder``) if there are none yet, or the folder is the

@@ -96,7 +96,6 @@ def fit_fleet(
     3: another run holds the output; 4: nothing could be published.
     """
     with stoppable():
-        from pipeline.logs.finding import strays_text, unclaimed_logs
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -114,8 +113,6 @@ def fit_fleet(
         if dry_run:
             print_plan(request, as_json=as_json)
             return
-        if not as_json and (strays := strays_text(unclaimed_logs(fleet))):
-            say(strays, err=True)
         _run(request, as_json=as_json, fail_on_alarm=fail_on_alarm)
 
 
@@ -128,6 +125,7 @@ def _first_findings(*look: Any) -> Iterator[str]:
 
 def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
+    from pipeline.logs.finding import strays_text, unclaimed_logs
     from pipeline.run.fleet import run_fleet
 
     progress = RunProgress(len(request.specs), as_json=as_json)
@@ -137,6 +135,8 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     ):
         result = run_fleet(request, progress.finished, progress.watched)
     print_summary(request, result, as_json=as_json)
+    if not as_json and (strays := strays_text(unclaimed_logs(request.fleet))):
+        say(strays, err=True)
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)

@@ -42,7 +42,7 @@ def row_of(
 
 
 def last_rows(output: Path, motor_ids: Sequence[str]) -> dict[str, Row]:
-    """Return the last row of each motor that has one; raises StoreError if the table is damaged."""
+    """Return the last row of each motor with any; raises StoreError if the table is damaged."""
     rows = read_rows(output, INTRADAY, motor_ids).sort("time").iter_rows(named=True)
     return {row["motor_id"]: row for row in rows}
 

@@ -108,7 +108,7 @@ def with_span(
             return with_coverage(record, read_log(path, file.logs, file.channels, latest_us), spec)
     except LogError as error:
         if error.code == "log_empty":
-            # One without a row is as good as any; one without a byte is not.
+            # A log without a row is as good as any; without a byte it is not.
             with suppress(LogError):
                 return with_coverage(
                     record, read_log(path, file.logs, file.channels, latest_us), spec

@@ -42,7 +42,7 @@ SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
 DELTA_LOG = "_delta_log"
 # Logs without a motor that are named.
 MOST_STRAYS = 8
-# Copies that a task keeps at a time: those that it has in memory, and one more.
+# Copies that a task keeps at a time: those that it has in memory, and another.
 COPIES = 3
 
 

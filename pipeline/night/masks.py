@@ -261,7 +261,7 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
     # In whole microseconds, as the times are: others would have all of them converted.
     first = np.searchsorted(time_us, events_us - int(before_us), side="left")
     end = np.searchsorted(time_us, events_us + int(after_us), side="right")
-    # Events whose guard times meet make one stretch.
+    # Events whose guard times meet are a single stretch.
     apart = first[1:] > end[:-1]
     first = first[np.append(True, apart)[: len(first)]]
     end = end[np.append(apart, True)[: len(end)]]

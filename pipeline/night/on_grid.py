@@ -107,7 +107,7 @@ def _fill_even(
 
 
 def _held(channel: CleanChannel, grid_us: Times) -> OnGrid:
-    """Return last sample, within the longest silence; none after a refused one."""
+    """Return last sample, within the longest silence; none after a refused sample."""
     last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
     known, last = last >= 0, np.maximum(last, 0)
     silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)

@@ -135,7 +135,7 @@ def read_staged(
 
 
 class NewFile(NamedTuple):
-    """A table file as it comes to be; there is no temporary one where it stays as it is."""
+    """A table file as it comes to be; without a temporary file where it stays."""
 
     path: Path
     sha256: str | None  # None if there is neither a file nor a row

@@ -106,7 +106,7 @@ class StateDatabase:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do changes whole, on the disk, or not at all; one within another is part of it.
+        """Do changes whole, on the disk, or not at all; within another it is part of that.
 
         Raises StoreError if they cannot be written.
         """
