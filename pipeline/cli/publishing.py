@@ -138,12 +138,14 @@ def prune(
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,error_budget --keep 400
     """
+    from pipeline.config.nights import nights_between
     from pipeline.run.publishing import newest_of_fleet
     from pipeline.store.atomic_files import locked
     from pipeline.store.published import old_files, require_prunable
     from pipeline.store.published import prune as remove
     from pipeline.store.state import open_state, read_state_file
     from pipeline.store.tables import existing_tables
+    from pipeline.trends.motor_states import published_states
 
     fleet = load(config, output, None, logs=False)
     existing_tables(fleet.output)
@@ -152,9 +154,16 @@ def prune(
     keep_by_table = dict.fromkeys(named, keep)
     with read_state_file(fleet.output) as state:
         newest_night = newest_of_fleet(fleet, state, now())
-    old = old_files(
-        fleet.output, keep_by_table, None if newest_night is None else newest_night.night
-    )
+    motor_ids = [spec.motor_id for spec in fleet.motors]
+    rows = [state.row for state in published_states(fleet.output, motor_ids)]
+    needed = {
+        night
+        for row in rows
+        if row["baseline_start"] and row["baseline_end"]
+        for night in nights_between(row["baseline_start"], row["baseline_end"])
+    }
+    newest = None if newest_night is None else newest_night.night
+    old = old_files(fleet.output, keep_by_table, newest, needed)
     if yes and old:
         with locked(fleet.output), open_state(fleet.output) as state:
             remove(state, old)

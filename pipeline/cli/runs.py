@@ -126,7 +126,9 @@ def _first_findings(*look: Any) -> Iterator[str]:
 def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.logs.finding import strays_text, unclaimed_logs
+    from pipeline.logs.processed import same_logs
     from pipeline.run.fleet import run_fleet
+    from pipeline.store.state import read_state_file
 
     progress = RunProgress(len(request.specs), as_json=as_json)
     with (
@@ -137,6 +139,9 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     print_summary(request, result, as_json=as_json)
     if not as_json and (strays := strays_text(unclaimed_logs(request.fleet))):
         say(strays, err=True)
+    with read_state_file(request.fleet.output) as state:
+        for words in same_logs(state):
+            tell({"event": "same_logs", "words": words}, words, as_json=as_json, err=True)
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)

@@ -6,7 +6,7 @@ import datetime as dt
 import re
 import stat
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Rows, chosen_rows
-from pipeline.clock import utc
+from pipeline.clock import microseconds, now, utc
 from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError
@@ -364,3 +364,15 @@ def with_known_nights(
         name: dated_by_neighbours(record) if has_no_span(record) and not record.nights else record
         for name, record in records.items()
     }
+
+
+def dates_of_no_night(spec: MotorSpec, nights: Collection[dt.date]) -> Iterator[str]:
+    """Yield events and periods of the config that touch no night of the logs, in words."""
+    for event in spec.file.events:
+        if event.date > max(now().date() + DAY, *nights, dt.date.min):
+            yield f"event {event.kind} of {event.date}: has not come, and changes nothing till then"
+    for since, until in (*spec.file.periods.training, *spec.file.periods.validation):
+        ends = (night_of(microseconds(end), spec.settings.nights) for end in (since, until))
+        first, last = ends
+        if nights and not any(first <= night <= last for night in nights):
+            yield f"period {since} to {until}: no log covers a night of it, and it chooses nothing"

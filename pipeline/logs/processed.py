@@ -9,9 +9,10 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, TypeVar
@@ -269,6 +270,30 @@ def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:
     for why, labels in reasons.items():
         span = f"{min(labels)}" if len(labels) == 1 else f"{min(labels)} to {max(labels)}"
         yield f"as published {counted(len(labels), 'night')}, {span}: {why}"
+
+
+def same_logs(state: StateDatabase) -> Iterator[str]:
+    """Yield motors whose fitted nights are read alike from the same contents: one has another's."""
+    read_with = dict(state.rows("SELECT motor_id, max(read_with) FROM logs GROUP BY motor_id"))
+    rows = state.rows("SELECT motor_id, night, logs FROM nights WHERE status = ?", OK)
+    made = {(motor_id, night): frozenset(logs.split()) for motor_id, night, logs in rows}
+    readers = defaultdict[tuple[str, ...], list[str]](list)
+    for (motor_id, night), logs in made.items():
+        for content in logs:
+            readers[night, content, read_with.get(motor_id, "")].append(motor_id)
+    shared = defaultdict[tuple[str, str], set[str]](set)
+    for (night, *_), motors in readers.items():
+        for first, second in combinations(sorted(motors), 2):
+            logs, others = made[first, night], made[second, night]
+            # A log of one channel, such as a tank's thermometer, may be of several motors.
+            if logs <= others or others <= logs:
+                shared[first, second].add(night)
+    for (first, second), nights in sorted(shared.items()):
+        n, span = counted(len(nights), "night"), f"{min(nights)} to {max(nights)}"
+        yield (
+            f"{first} and {second}: {n}, {span}, were made from the same logs: put each motor's "
+            "own into place, or correct logs.files"
+        )
 
 
 def forget_nights(

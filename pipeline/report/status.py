@@ -18,7 +18,7 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import DRAIN_DELAY
 from pipeline.errors import UsageError
 from pipeline.intraday.rows import intraday_statuses
-from pipeline.logs.processed import read_settings, read_stays, stay_lines
+from pipeline.logs.processed import read_settings, read_stays, same_logs, stay_lines
 from pipeline.messages import counted
 from pipeline.notification.delivery import Receiver
 from pipeline.notification.outbox import Backlog, backlogs
@@ -100,6 +100,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
     with read_state_file(output) as state:
         stays, gone = read_stays(state, motor_ids)
         settings = read_settings(state)
+        shared = list(same_logs(state))
     decisions = read_decisions(output)
     excluded = {
         (decision.motor_id, decision.night) for decision in decisions if decision.kind == "excluded"
@@ -117,6 +118,7 @@ def standing(output: Path, motor_ids: Sequence[str]) -> Iterator[str]:
         yield from (f"{motor_id}: {line}" for line in stay_lines(stays[motor_id]))
         if n := gone.get(motor_id):
             yield f"{motor_id}: {counted(n, 'published night')} without a log any more"
+    yield from shared
     yield from _proposed_delays(output, settings)
     if any(failures.values()):
         yield (

@@ -18,6 +18,7 @@ from pipeline.ingest import RawChannel
 from pipeline.logs.files import (
     change_of,
     dated_otherwise,
+    dates_of_no_night,
     failed_record,
     labels_of,
     misdated_message,
@@ -63,6 +64,8 @@ from pipeline.setup.propose import LARGEST_LOG_BYTES
 from pipeline.setup.samples import (
     ChannelCheck,
     channel_checks,
+    cut_flow,
+    ended_flow,
     misplaced,
     mostly_refused,
     operation,
@@ -188,7 +191,12 @@ def check_motor(
         placeholders=tuple(entry.name for entry in stated if entry.source == "placeholder"),
         channels=channels,
         forecast=forecast,
-        notes=(*notes, *_cut(spec, records, source), *source.unmatched()),
+        notes=(
+            *notes,
+            *_cut(spec, records, source),
+            *source.unmatched(),
+            *dates_of_no_night(spec, nights),
+        ),
     )
 
 
@@ -450,8 +458,10 @@ def _look_into(
         *changes,
         *differing_units(spec.file, header(newest)),
         *suspect_units(spec, label, log.channels),
+        *cut_flow(spec, log.channels),
         *_extremes(spec, logs, looks),
     ]
+    notes += ended_flow(spec, log.channels)
     notes += temperature_jumps(log.channels["oil_temperature"])
     notes += unused_qualities(logs.path(newest), header(newest), spec.file)
     # What is refused mostly follows from the rest.

@@ -25,7 +25,7 @@ from pipeline.night.column_change import COLUMNS, Change, column_change
 from pipeline.night.sample_rows import conditions
 from pipeline.night.time_base import Samples
 from pipeline.setup.names import LOW_SIDE, QUANTITY_OF, USUAL, likely_units, meaning_of
-from pipeline.setup.samples import temperature_jumps
+from pipeline.setup.samples import cut_flow, ended_flow, temperature_jumps
 from pipeline.setup.signals import quality_words, signals_of
 from pipeline.setup.sniff import header_of, sniff
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
@@ -56,6 +56,8 @@ def first_findings(
     yield from differing_units(spec.file, header(dated[-1][1]))
     yield from suspect_units(spec, label, channels)
     yield from temperature_jumps(channels["oil_temperature"])
+    yield from cut_flow(spec, channels)
+    yield from ended_flow(spec, channels)
 
 
 def headers_of(spec: MotorSpec, path_of: PathOf) -> Callable[[str], Header]:

@@ -62,6 +62,9 @@ MOST_MISPLACED = {"duplicate_time": 0.1, "backward_time": 0.4}
 # What cannot be read is rarely lost at random: it is the largest readings, a direction, the hours
 # after a change of the logger.
 MOST_UNREAD = 0.01
+# A meter's end, or a limit of the config: of more readings than this beyond it the leakage suffers.
+# A reading is an end where it comes so many times more often than the next, of so many others.
+MOST_CUT, TIMES_MORE, FEWEST_LEVELS = 0.03, 4.0, 10
 DAY_US, LONGEST_STEP_US = 86_400 * SECOND_US, 60 * SECOND_US
 HOW_TO_MEND = {
     "duplicate_time": "do its stamps lack seconds, or fractions of them, are they of another "
@@ -272,7 +275,50 @@ def _rises(value: Array) -> bool:
     return bool(np.all(-changes[falls] > 0.3 * np.ptp(value)))
 
 
-# Values that are no readings
+# Values that are no readings, and readings that are missing
+
+
+def cut_flow(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+    """Yield the fault of a drain flow whose largest readings are refused while the motor works.
+
+    What is left is too small: samples are left out by the very figure that is estimated.
+    """
+    channel, value = spec.file.channels[COUNTED], _flow_at_work(spec, channels)
+    _, high = channel.valid_range or FALLBACK_VALID_RANGE[COUNTED]
+    at_maximum = np.inf if channel.sensor_maximum is None else channel.sensor_maximum
+    is_cut = (value > high) | (value >= at_maximum - channel.resolution)
+    if len(value) and (share := float(is_cut.mean())) > MOST_CUT:
+        key = "sensor_maximum" if at_maximum <= high else "valid_range"
+        yield (
+            f"samples_refused: {100 * share:.0f} % of {COUNTED} at work lie beyond {key}, "
+            f"{min(at_maximum, high):g} l/min: the leakage comes out too small; correct it, or the "
+            "meter is too small"
+        )
+
+
+def ended_flow(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[str]:
+    """Yield the ends of a drain flow at which its readings stand, as no flow does."""
+    value = _flow_at_work(spec, channels)
+    levels, counts = np.unique(value, return_counts=True)
+    if len(levels) <= FEWEST_LEVELS:
+        return
+    # Whatever is without load reads 0, too: with a low cut-off nothing lies just above it.
+    is_apart = levels[1] - levels[0] > TIMES_MORE * np.min(np.diff(levels))
+    for end, beside, how in ((-1, -2, "highest"), (0, 1, "lowest")):
+        is_end = counts[end] > max(MOST_CUT * len(value), TIMES_MORE * counts[beside])
+        if is_end and (is_apart or how == "highest"):
+            yield (
+                f"{COUNTED}: {100 * counts[end] / len(value):.0f} % of its samples at work read "
+                f"{levels[end]:g} l/min, its {how} reading: what lies beyond the meter's end is "
+                "missing, and the leakage wrong by that"
+            )
+
+
+def _flow_at_work(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Array:
+    """Return readings of the drain flow away from halts; none of a counter."""
+    raw = channels[COUNTED]
+    is_read = np.isfinite(raw.value) & ~_near_halts(channels["speed"], raw.time_us)
+    return raw.value[is_read & (not spec.file.channels[COUNTED].is_counted)]
 
 
 def temperature_jumps(log: RawChannel) -> Iterator[str]:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import NIGHT_TABLES, NIGHTS, TABLES, TREND_TABLES
+from pipeline.schema import BLOCKS, NIGHT_TABLES, NIGHTS, TABLES, TREND_TABLES
 from pipeline.store.atomic_files import move, remove
 from pipeline.store.state import STATE_FILE, StateDatabase, is_sound, read_state_file
 from pipeline.store.tables import ENDING, MONTH_PREFIX, days_of, files_of, from_parquet, name_of
@@ -35,7 +35,7 @@ LOSSES: Mapping[str, str] = {
     "residual_tests": "tests of the fit's errors, and their correlations lag by lag",
     "error_budget": "the share of each tolerance in ±; the sum stays in fits and parameters",
     "blocks": "a changed setting of the fit then needs the logs of these nights, and "
-    "a watch that is made anew begins with the first night that is left",
+    "a watch that is made anew has the nights that are left; those of a baseline in force stay",
 }
 
 
@@ -216,15 +216,25 @@ def require_prunable(tables: Sequence[str]) -> None:
 
 
 def old_files(
-    output: Path, days: Mapping[str, int], newest_night: dt.date | None
+    output: Path,
+    days: Mapping[str, int],
+    newest_night: dt.date | None,
+    of_baselines: Collection[dt.date] = (),
 ) -> tuple[OldFiles, ...]:
-    """Return files older than the days of their table; a month is as old as its last night."""
+    """Return files older than the days of their table; a month is as old as its last night.
+
+    Blocks of the nights `of_baselines` stay: without them a watch that is made anew, as by a late
+    log, would have no baseline, and what is in force would be gone.
+    """
     stale = []
     for table in TABLES:
         if newest_night is None or table.name not in days:
             continue
         first_day = newest_night - dt.timedelta(days=days[table.name] - 1)
-        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_day]
+        needed = set(of_baselines) if table is BLOCKS else set()
+        nights = {file: days_of(file.stem) for file in files_of(output, table)}
+        old = [file for file, its in nights.items() if its[-1] < first_day]
+        old = [file for file in old if needed.isdisjoint(nights[file])]
         if old:
             first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
             names = tuple(name_of(output, path) for path in old)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from pipeline.cli import main
 from pipeline.cli.arguments import say
 from tests.scenarios.fleets import ScenarioFleet, Simulated, make_fleet
 
+LEAKAGE = 'source = "leakage_flow"\n'
 MOTORS = {motor: Simulated(motor, format="csv") for motor in ("A", "B")}
 
 
@@ -53,11 +56,41 @@ def add_motor(fleet: ScenarioFleet) -> None:
     (fleet.config.parent / "motors" / "a.toml").write_text(other, "utf-8")
 
 
+def enter_dates_of_other_years(fleet: ScenarioFleet) -> None:
+    """Date an overhaul and a training period by a wrong year."""
+    event = f'[[events]]\ndate = {dt.date.today().year + 1}-12-31\nkind = "overhaul"\n'
+    fleet.append("motors/A.toml", event)
+    period = "[2025-01-02T20:00:00Z, 2025-01-02T22:00:00Z]"
+    fleet.append("motors/B.toml", f"[periods]\ntraining = [{period}]\n")
+
+
+def narrow_range(fleet: ScenarioFleet) -> None:
+    """State a range of the drain flow that its largest readings exceed."""
+    fleet.change("motors/A.toml", 'source = "leakage_flow"', f"{LEAKAGE}valid_range = [0.0, 1.0]")
+
+
+def clip_meter(fleet: ScenarioFleet) -> None:
+    """Have a meter that ends within the range of the flow."""
+    for number in (1, 2):
+        log = pl.read_csv(fleet.log("A", number), infer_schema_length=None)
+        flow = pl.col("leakage_flow").cast(pl.Float64, strict=False).clip(upper_bound=0.9)
+        log.with_columns(flow).write_csv(fleet.log("A", number))
+
+
+def deliver_anothers_log(fleet: ScenarioFleet) -> None:
+    """Put a motor's log into another's place."""
+    fleet.log("B", 2).write_bytes(fleet.log("A", 2).read_bytes())
+
+
 # By what is done: the command, its exit code and words of it.
 SITUATIONS: dict[Callable[[ScenarioFleet], None], tuple[str, int, str]] = {
     leave_hidden_files: ("check", 0, "A: CB400, csv, 2 files, 2 nights"),
     rename_folder: ("check", 1, "a name with a bracket is written [[]1]"),
     add_motor: ("check", 2, "motors/a.toml: motor_id"),
+    enter_dates_of_other_years: ("check", 0, "changes nothing till then"),
+    narrow_range: ("check", 1, "of leakage_flow at work lie beyond valid_range"),
+    clip_meter: ("check", 0, "read 0.9 l/min, its highest reading"),
+    deliver_anothers_log: ("fit-fleet", 0, "A and B: 1 night, 2026-01-03 to 2026-01-03, were made"),
 }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import UsageError
-from pipeline.schema import ERROR_BUDGET, NIGHT_TABLES, PREDICTIONS, TREND_TABLES
+from pipeline.schema import BLOCKS, ERROR_BUDGET, NIGHT_TABLES, PREDICTIONS, TREND_TABLES
 from pipeline.store.published import LOSSES, old_files, prune, require_prunable, verify_tables
 from pipeline.store.state import open_state
 from tests.pipeline.calling import contents
@@ -57,6 +57,14 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(
     for table in (PREDICTIONS, ERROR_BUDGET):
         assert not (tmp_path / "tables" / table.name / "month=2026-02").exists()
     assert list(verify_tables(tmp_path)) == []
+
+
+def test_blocks_of_a_baseline_in_force_stay(tmp_path: Path) -> None:
+    publish(
+        tmp_path, {"A": {BLOCKS: {night: [{"motor_id": "A", "night": night}] for night in NIGHTS}}}
+    )
+    (old,) = old_files(tmp_path, {"blocks": 2}, NIGHTS[-1], NIGHTS[1:3])
+    assert [Path(name).stem for name in old.names] == [str(NIGHTS[0]), str(NIGHTS[3])]
 
 
 def test_figures_trends_and_decisions_cannot_be_pruned(tmp_path: Path) -> None:
