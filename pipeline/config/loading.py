@@ -293,7 +293,7 @@ def complete(own: Document, defaults: Document, name: str) -> dict[str, Any]:
 
     Examples
     --------
-    >>> completed({"oil": "vg46"}, {"oil": "vg68", "logs": {"files": ["{name_in_log}/*"]}}, "W1")
+    >>> complete({"oil": "vg46"}, {"oil": "vg68", "logs": {"files": ["{name_in_log}/*"]}}, "W1")
     {'oil': 'vg46', 'logs': {'files': ['W1/*']}}
     """
     known = own.get("name_in_log")

@@ -223,7 +223,7 @@ def _escape(text: str) -> str:
 
     Examples
     --------
-    >>> print(_escaped('a"b'))
+    >>> print(_escape('a"b'))
     a\\"b
     """
     return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
