@@ -103,6 +103,7 @@ class NightState:
     change: Change | None = None  # in force
     state: str = ""
     way: str = ""
+    known: NightState | None = None  # of a stale motor: as its last nights left it
 
     @property
     def model_verdict(self) -> ModelVerdict | None:
@@ -166,7 +167,10 @@ def with_state(night: NightState) -> NightState:
     if night.verdict is not None and night.verdict.change is not None:
         night = replace(night, change=_as_shown(night.verdict.change, night))
     state, way = _state(night)
-    return replace(night, state=state, way=way)
+    night = replace(night, state=state, way=way)
+    if night.silent > night.spec.settings.alarms.stale_after_nights:
+        return replace(night, state="stale", way="stale", known=night)
+    return night
 
 
 def _as_shown(change: Change, night: NightState) -> Change:
@@ -219,11 +223,8 @@ def _as_shown(change: Change, night: NightState) -> Change:
 
 
 def _state(night: NightState) -> tuple[str, str]:
-    """Return state, and the way into it."""
+    """Return state but for silence, and the way into it."""
     change, verdict, limits = night.change, night.verdict, night.spec.motor_type.limits
-    alarms = night.spec.settings.alarms
-    if night.silent > alarms.stale_after_nights:
-        return "stale", "stale"
     for state, limit in (("alarm", limits.alarm_l_per_min), ("warning", limits.warning_l_per_min)):
         leakage = night.reference
         if limit is not None and leakage is not None and leakage.probability_above(limit) >= SURE:
@@ -236,7 +237,7 @@ def _state(night: NightState) -> tuple[str, str]:
         return "ok", "recovered"
     if change.cause == TANK:
         return "common_cause", "common_cause"
-    level = alarms.alarm_percent / 100.0
+    level = night.spec.settings.alarms.alarm_percent / 100.0
     is_leakage = change.cause not in NO_LEAKAGE
     if is_leakage and verdict.present.probability_above(level) >= SURE:
         return "alarm", "level"

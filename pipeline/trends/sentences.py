@@ -121,8 +121,8 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
     parts = [_limit_words(night)] if night.way == "limit" else []
     if night.state == "stale":
         last = night.night - dt.timedelta(days=night.silent)
-        why = f": {night.why_no_blocks}" if night.why_no_blocks else ""
-        parts.append(f"no data since {day(last)}{why}")
+        why = night.why_no_blocks.removeprefix("no new data: ")
+        parts.append(f"no data since {day(last)}{': ' * bool(why)}{why}")
     elif night.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
@@ -147,8 +147,11 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
     """Return what to do in a night: its order, or what would identify the cause."""
     if night.way == "limit" and night.change is None:
         return _inspect("the motor", night.state)
-    if night.state == "stale":
-        return "Check whether the motor's logs arrive, and the reason of its last nights."
+    if night.known is not None:
+        # Silence ends no order.
+        is_urgent = night.known.state not in ("insufficient", "ok")
+        order = f" {advice(night.known, drifts)}" if is_urgent else ""
+        return f"Check whether the motor's logs arrive, and the reason of its last nights.{order}"
     if night.change is not None and night.state not in ("insufficient", "ok"):
         return _advice_on(night, night.change)
     if drifts:
