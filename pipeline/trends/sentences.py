@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -262,9 +263,12 @@ def _change_in_words(night: NightState, change: Change) -> str:
     what = WHAT.get(change.cause, f"leakage of the {_parts(change)} has {{risen}}")
     if ONE_OF in change.cause:
         what = f"leakage has {{risen}} through one or more of: {_one_of(change.cause)}"
-    grade = f" (ISO VG {change.grade})" if change.grade else ""
     risen = "risen" if change.is_rise else "fallen"
-    headline = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker") + grade
+    headline = what.format(risen=risen, thinner="thinner" if change.is_rise else "thicker")
+    if change.grade:
+        # Behind the oil, whatever else it may be.
+        grade = rf"\g<0> (ISO VG {change.grade})"
+        headline = re.sub("(thinner|thicker|another) oil", grade, headline)
     gap = "" if night.gap_growth is None else f"its gap {relative_change(night.gap_growth)}"
     size = f"{_newest_night(night)}, {_since(change)}"
     verdict = night.verdict

@@ -213,6 +213,7 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
         "a sure cause": watched(change(SLEEVE, probability=0.999, candidates={"all_gaps": 0.06})),
         "it continues": watched(change(RING, continues=True)),
         "a grade": watched(change("oil_grade", grade=46)),
+        "perhaps another oil": watched(change("all_flows or zero", grade=46)),
         "what one night does not show": watched(
             change(SLEEVE), newest_night=Estimate(0.02, 0.02), present=Estimate(0.03, 0.005)
         ),
