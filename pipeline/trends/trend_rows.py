@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.course.trend import fit_slope, time_to_limit, zero_course
+from leakage.course import fit_slope, time_to_limit, zero_course
 from leakage.estimation.identifiability import WITH_VALUE
 from pipeline.arrays import Array
 from pipeline.config import MotorSpec

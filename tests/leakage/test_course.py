@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
-from leakage.course.trend import (
+from leakage.course import (
     KAPPAS,
     POWERS,
     Slope,
