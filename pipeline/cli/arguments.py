@@ -21,7 +21,6 @@ from pipeline.errors import UsageError, one_line
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.workers.process import Mark
 
 UNITS = {"s": "seconds", "m": "minutes", "min": "minutes", "h": "hours", "d": "days"}
 EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
@@ -220,20 +219,3 @@ def repeat(call: Callable[[], None]) -> Iterator[None]:
         over.set()
         thread.join()
         call()
-
-
-def nights_done(
-    n_finished: int, nights_finished: int, n_motors: int, marks: Sequence[Mark]
-) -> tuple[int, int]:
-    """Return the nights that are done, and how many there are: of motors to come the mean.
-
-    Examples
-    --------
-    >>> from pipeline.workers.process import Mark
-    >>> nights_done(1, 75, 6, [Mark(1, n_done=30, n_left=45)])
-    (105, 450)
-    """
-    done = nights_finished + sum(mark.n_done for mark in marks)
-    known = done + sum(mark.n_left for mark in marks)
-    begun = min(n_finished + len(marks), n_motors)
-    return done, round(known * n_motors / begun) if begun else n_motors

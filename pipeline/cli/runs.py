@@ -30,7 +30,6 @@ from pipeline.cli.arguments import (
     day,
     load,
     nights,
-    nights_done,
     progress_bar,
     repeat,
     require_order,
@@ -293,9 +292,12 @@ class RunProgress:
 
     @property
     def nights(self) -> tuple[int, int]:
-        """Nights that are done, and how many there are."""
+        """Nights that are done, and how many there are: of motors to come the mean."""
         marks = [mark for mark in self.marks() if mark.n_left]
-        return nights_done(self.n_finished, self.nights_finished, self.n_motors, marks)
+        done = self.nights_finished + sum(mark.n_done for mark in marks)
+        known = done + sum(mark.n_left for mark in marks)
+        begun = min(self.n_finished + len(marks), self.n_motors)
+        return done, round(known * self.n_motors / begun) if begun else self.n_motors
 
 
 def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:

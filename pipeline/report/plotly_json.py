@@ -14,6 +14,7 @@ from html import escape
 from typing import Any, Final
 
 import numpy as np
+import polars as pl
 
 from pipeline.arrays import Array
 from pipeline.report.charts import Area, Chart, Line, Mark, Panel, Times
@@ -113,14 +114,9 @@ def script_json(document: Mapping[str, Any]) -> str:
 
 def numbers(values: Array) -> list[float | None]:
     """Return numbers as JSON has them, with six digits; null where there is none."""
-    known = np.where(np.isfinite(values), values, np.nan)
-    # Powers of ten from 1 on are exact, and so is what is divided by them.
-    digits = 5.0 - np.floor(np.log10(np.abs(known), where=known != 0.0, out=np.zeros(len(known))))
-    up, down = 10.0 ** np.maximum(digits, 0.0), 10.0 ** np.maximum(-digits, 0.0)
-    rounded = (np.round(known * up / down) / up * down).astype(object)
-    rounded[np.isnan(known)] = None
-    listed: list[float | None] = rounded.tolist()
-    return listed
+    series = pl.Series(values, dtype=pl.Float64)
+    known = pl.when(series.is_finite()).then(series.round_sig_figs(6))
+    return pl.select(known).to_series().to_list()
 
 
 def safe(name: str) -> str:

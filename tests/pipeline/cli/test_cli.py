@@ -18,9 +18,19 @@ import pytest
 import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
+from pipeline.cli.runs import RunProgress
 from pipeline.store.atomic_files import prepare
+from pipeline.workers.process import Mark
 from tests.conftest import OwnFleet
 from tests.pipeline.calling import CSV, PARQUET, Call, change, without_workers
+
+
+def test_the_bar_counts_nights_and_for_motors_to_come_their_mean() -> None:
+    progress = RunProgress(6, as_json=True)
+    assert progress.nights == (0, 6)
+    progress.n_finished, progress.nights_finished = 1, 75
+    progress.watched(lambda: [Mark(1, n_done=30, n_left=45)])
+    assert progress.nights == (105, 450)
 
 
 def test_143_while_publishing(
