@@ -217,8 +217,14 @@ def _as_shown(change: Change, night: NightState) -> Change:
             cause, probability = NOT_IDENTIFIED, share
     has_growth = cause == change.cause and not is_disproved
     growth = change.path_growth if has_growth else None
+    grade = None if cause in NOT_OF_SHAPE else change.grade
     return replace(
-        change, cause=cause, probability=probability, candidates=candidates, path_growth=growth
+        change,
+        cause=cause,
+        probability=probability,
+        candidates=candidates,
+        path_growth=growth,
+        grade=grade,
     )
 
 

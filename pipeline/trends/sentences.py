@@ -52,6 +52,8 @@ ELSEWHERE = (
     "baseline of these nights with `baseline reset`."
 )
 FALL = "Check oil, sensors and flushing, or enter the overhaul that was made: a fall is no wear."
+CHECK_LOGS = "Check whether the motor's logs arrive, and the reason of its last nights."
+SEE_TO_REFUSED = "See to the reason of the last nights: nothing is known of the motor since."
 CHECK_CHANNELS = (
     "Compare each channel with its instrument: whose tag it is, its clock, and whether it is held, "
     "damped or late. Where all are right, inspect the motor."
@@ -123,7 +125,8 @@ def sentence(night: NightState, quiet_since: dt.date | None, drifts: Sequence[st
     if night.state == "stale":
         last = night.night - dt.timedelta(days=night.silent)
         why = night.why_no_blocks.removeprefix("no new data: ")
-        parts.append(f"no data since {day(last)}{': ' * bool(why)}{why}")
+        what = "figure" if night.is_refused else "data"
+        parts.append(f"no {what} since {day(last)}{': ' * bool(why)}{why}")
     elif night.verdict is None:
         parts.append(_insufficient(night))
     if night.change is not None and night.change.cause != "temperature_effect":
@@ -152,13 +155,13 @@ def advice(night: NightState, drifts: Sequence[str]) -> str:
         # Silence ends no order.
         is_urgent = night.known.state not in ("insufficient", "ok")
         order = f" {advice(night.known, drifts)}" if is_urgent else ""
-        return f"Check whether the motor's logs arrive, and the reason of its last nights.{order}"
+        return f"{SEE_TO_REFUSED if night.is_refused else CHECK_LOGS}{order}"
     if night.change is not None and night.state not in ("insufficient", "ok"):
         return _advice_on(night, night.change)
     if drifts:
         return CHECK_ZERO
     if night.is_refused and night.silent > 1:
-        return "See to the reason of the last nights: nothing is known of the motor since."
+        return SEE_TO_REFUSED
     if night.state == "insufficient":
         verdict = night.verdict
         is_elsewhere = verdict is not None and verdict.is_elsewhere and verdict.smallest is not None
@@ -251,9 +254,12 @@ def _quiet(night: NightState, since: dt.date) -> str:
     if verdict.is_beyond:
         words = f"{words}, beyond such a step: a second night like it is a warning"
     change = night.change
-    if change is None:
+    if change is not None:
+        return f"{words}; the flow follows temperature otherwise than before {_since(change)}"
+    if verdict.present.holds_zero:
         return words
-    return f"{words}; the flow follows temperature otherwise than before {_since(change)}"
+    mean = relative_change(verdict.present)
+    return f"{words}; leakage {mean} on average over the last nights, too little to be sure of"
 
 
 def _change_in_words(night: NightState, change: Change) -> str:

@@ -147,6 +147,11 @@ def test_where_the_model_is_disproved_all_flows_may_be_a_part() -> None:
     assert watched(sure, lack_of_fit=0.06).change.cause == "a_part or all_flows"
 
 
+def test_a_grade_is_of_an_oil_and_not_of_what_is_undone() -> None:
+    graded = (watched(change(cause, grade=46)).change for cause in ("oil_grade", "back_as_before"))
+    assert [shown.grade for shown in graded] == [46, None]
+
+
 def test_the_verdict_on_the_model_is_its_lack_of_fit() -> None:
     verdicts = [model_verdict(lack) for lack in (0.02, 0.0201, 0.05, 0.0501)]
     assert verdicts == ["supported", "doubtful", "doubtful", "disproved"]
@@ -195,6 +200,10 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
         "nights of which too few samples count": watched(
             silent=2, n_blocks=0, is_refused=True, why_no_blocks="insufficient data: frozen 93 %"
         ),
+        "stale, as too few samples count": watched(
+            silent=10, n_blocks=0, is_refused=True, why_no_blocks="insufficient data: frozen 93 %"
+        ),
+        "a mean that is no change yet": watched(present=Estimate(0.03, 0.01)),
         "a night alone beyond the limit": watched(
             newest_night=Estimate(0.08, 0.01), is_beyond=True
         ),
@@ -214,6 +223,7 @@ NIGHTS: dict[str, tuple[NightState, tuple[str, ...]]] = {
         "it continues": watched(change(RING, continues=True)),
         "a grade": watched(change("oil_grade", grade=46)),
         "perhaps another oil": watched(change("all_flows or zero", grade=46)),
+        "no grade of another cause": watched(change("back_as_before", grade=46)),
         "what one night does not show": watched(
             change(SLEEVE), newest_night=Estimate(0.02, 0.02), present=Estimate(0.03, 0.005)
         ),
