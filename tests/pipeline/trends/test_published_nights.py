@@ -1,4 +1,4 @@
-"""What the watch gets of a motor: blocks, zeros, oil as measured, new baselines; nights made anew."""
+"""What the watch gets of a motor: blocks, zeros, measured oil, baselines; nights made anew."""
 
 from __future__ import annotations
 
