@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from shutil import which
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -127,6 +128,9 @@ def _fleet_faults(fleet: Fleet, checks: Iterable[MotorCheck]) -> Iterator[UsageE
     if not any(check.n_files for check in checks):
         where = f"no log of any motor is below {fleet.log_place}"
         yield UsageError("no_logs", f"{where}; correct folders.logs, or logs.files")
+    if (command := fleet.settings.alarms.command) and which(command[0]) is None:
+        message = f"alarms.command: {command[0]} is no program that can be run: nobody is notified"
+        yield UsageError("alarms_command", message)
     if fleet.metrics_file is not None and not fleet.metrics_file.parent.is_dir():
         where = f"{fleet.metrics_file.parent.resolve()} is no folder"
         yield UsageError("metrics_file", f"{where}; make it, or correct metrics.textfile")

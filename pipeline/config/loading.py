@@ -179,10 +179,12 @@ def _claimed_twice(specs: Iterable[MotorSpec]) -> Iterator[Fault]:
     """Yield motors that take their drain flow from the same place, or whose files' names clash."""
     first: dict[object, str] = {}
     for spec in specs:
-        other = first.setdefault(spec.motor_id.lower(), spec.motor_id)
-        if other != spec.motor_id:
-            message = f"expected another name than {other}: many disks do not tell case apart"
-            yield fault_at(f"motors/{spec.motor_id}.toml", ("motor_id",), message, spec.motor_id)
+        for of_what in ("motor_id", "oil_circuit"):
+            name = getattr(spec.file, of_what)
+            other = first.setdefault((of_what, name.lower()), name)
+            if other != name:
+                message = f"expected another name than {other}: it differs by case alone"
+                yield fault_at(f"motors/{spec.motor_id}.toml", (of_what,), message, name)
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
         place = (logs.files, logs.motor_rows, flow.source, flow.field)
         other = first.setdefault(place, spec.motor_id)

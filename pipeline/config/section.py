@@ -86,6 +86,8 @@ def _meant(key: str) -> str:
     for model in models:
         models += model.__subclasses__()
     known = {name for model in models for name in model.model_fields}
+    if key in known:
+        return "move it to the table that it is of"
     near = get_close_matches(key, known, 1)
     return f"check its spelling (did you mean {near[0]}?)" if near else "check its spelling"
 

@@ -296,7 +296,7 @@ class Alarms(Section):
 
     shapes = Stage.NOTHING
 
-    alarm_percent: Annotated[Positive, Stage.TRENDS] = 30.0
+    alarm_percent: Annotated[float, Field(ge=1.0), Stage.TRENDS] = 30.0
     """Rise that is an alarm, with 97.5 % probability."""
     stale_after_nights: Annotated[int, Stage.TRENDS] = Field(7, ge=1)
     """Nights without data after which a motor is `stale`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -37,6 +38,7 @@ OF_TIME: Mapping[Any, Callable[[str], dt.date]] = {
     pl.Date: dt.date.fromisoformat,
     TIMESTAMP: dt.datetime.fromisoformat,
 }
+_FIGURES = re.compile(r"\d[\d:]*")
 # Read at a time for the hash of a file.
 PIECE_BYTES = 1 << 20
 
@@ -263,13 +265,15 @@ def read_stays(
 
 
 def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:
-    """Yield nights that stay as published, in a line a reason."""
-    reasons: dict[str, list[dt.date]] = {}
+    """Yield nights that stay as published, in a line a reason; of figures those of the first."""
+    reasons: dict[str, dict[dt.date, str]] = {}
     for label, why in stays.items():
-        reasons.setdefault(why, []).append(label)
-    for why, labels in reasons.items():
-        span = f"{min(labels)}" if len(labels) == 1 else f"{min(labels)} to {max(labels)}"
-        yield f"as published {counted(len(labels), 'night')}, {span}: {why}"
+        reasons.setdefault(_FIGURES.sub("", why), {})[label] = why
+    for whys in reasons.values():
+        first = min(whys)
+        span = f"{first}" if len(whys) == 1 else f"{first} to {max(whys)}"
+        such_as = f" ({first})" if len({*whys.values()}) > 1 else ""
+        yield f"as published {counted(len(whys), 'night')}, {span}: {whys[first]}{such_as}"
 
 
 def same_logs(state: StateDatabase) -> Iterator[str]:

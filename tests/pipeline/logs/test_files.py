@@ -28,12 +28,14 @@ from pipeline.logs.files import (
 )
 from pipeline.logs.finding import FolderLogs, find_logs
 from pipeline.logs.processed import (
+    GONE,
     FileRecord,
     NightRecord,
     ProcessedChange,
     ProcessedLogs,
     forget_nights,
     read_processed,
+    stay_lines,
     write_change,
 )
 from pipeline.store.state import open_state
@@ -299,3 +301,12 @@ def test_a_night_is_near_the_others(night: str, is_plausible: bool) -> None:
     record = placed(*neighbours, strange, failed(name), before=[before])[name]
     assert record.nights == ((night,) if is_plausible else ())
     assert (record.message == "torn (night known by its name)") == is_plausible
+
+
+def test_nights_that_stay_for_like_reasons_take_a_line() -> None:
+    nights = [dt.date(2026, 1, day) for day in range(1, 5)]
+    held = "its logs hold {} samples now, and held {}"
+    whys = [held.format(480, 2400), held.format(479, 2395), GONE, held.format(480, 2400)]
+    first, second = stay_lines(dict(zip(nights, whys, strict=True)))
+    assert first == f"as published 3 nights, {nights[0]} to {nights[3]}: {whys[0]} ({nights[0]})"
+    assert second == f"as published 1 night, {nights[2]}: {GONE}"
