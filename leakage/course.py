@@ -235,15 +235,6 @@ def time_to_limit(
     errors remember, what wear goes by, such as running hours, both increasing, and the indicator,
     shape (n,); nights that are not finite do not count. `limit`: In the unit of the indicator,
     positive. `horizon`: Time ahead beyond which nothing is said [unit of position].
-
-    Examples
-    --------
-    >>> nights = np.arange(100)
-    >>> noise = 0.004 * np.random.default_rng(1).standard_normal(100)
-    >>> rising = 1.0 + 0.001 * nights + noise
-    >>> time = time_to_limit(nights, 8.0 * nights, rising, limit=1.15, horizon=14_600.0)
-    >>> time.status, time.lower < 8 * 51 < time.upper
-    ('finite', True)
     """
     known = np.isfinite(values)
     if int(known.sum()) < LEAST_NIGHTS or not np.ptp(position[known]) > 0.0:

@@ -154,15 +154,6 @@ def analyse_residuals(
     `index`: Place of each sample on an even time base, increasing, shape (n,); where it jumps is a
     gap.
     `rounding`: Errors of this size are rounding, and not tested [l/min].
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(1)
-    >>> speed = rng.normal(size=5000)
-    >>> error = 0.1 * np.roll(speed, 3) + rng.normal(size=5000)
-    >>> analysis = analyse_residuals(error, {"speed": speed}, np.arange(5000))
-    >>> analysis.whiteness.verdict, analysis.independence["speed"].verdict
-    ('passed', 'failed')
     """
     n, reason = len(error), ""
     if n < FEWEST_SAMPLES:

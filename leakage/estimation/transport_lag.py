@@ -38,23 +38,11 @@ class TransportLag:
 def transport_lag(
     flow: Array, drivers: Sequence[Array], index: Places, period_s: float, paired_s: float = 0.0
 ) -> TransportLag | None:
-    """Estimate how long a flow lags its drivers.
+    """Estimate how long a flow lags its drivers, shape (n,) each, `index` their places in time.
 
-    Parameters
-    ----------
-    flow, drivers
-        Shape (n,) each.
-    index
-        Place of each sample on an even time base, increasing, shape (n,).
-    period_s
-        Period of that time base [s].
-    paired_s
-        Lag by which the drivers have been shifted already; it is part of the result [s].
-
-    Returns
-    -------
-    None where nothing varies, the largest lag is an outermost, or samples lie too far apart
-    or have too few neighbours.
+    `paired_s`: Lag by which the drivers have been shifted already; it is part of the result [s].
+    None where nothing varies, the largest lag is an outermost, or samples lie too far apart or have
+    too few neighbours.
 
     Examples
     --------

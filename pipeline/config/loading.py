@@ -41,7 +41,7 @@ def load_fleet(path: Path) -> Fleet:
     """Read a fleet file and all files that it leads to; motors are sorted by id, fully resolved.
 
     Raises ConfigError with every fault of every file, those of the motors too where the fleet file
-    has one.
+    has any.
     """
     faults: list[Fault] = []
     document = read_toml(path, path.name if path.is_file() else str(path), faults)

@@ -30,7 +30,7 @@ from pipeline.logs.finding import FolderLogs, logs_of, require_answer
 from pipeline.logs.processed import FileRecord
 from pipeline.workers.process import Loss, reading, still_alive
 
-# Logs kept in memory: one that ends and one that begins within a night.
+# Logs in memory: that which ends within a night, and that which begins.
 LOGS_IN_MEMORY = 2
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.

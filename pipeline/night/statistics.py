@@ -1,7 +1,7 @@
 """From a night's kept samples to the statistics of the blocks of its good parts.
 
 Every path's flow is proportional to 1/η, so a measured viscosity scales the columns of a block by
-one factor. Blocks are stored with the data sheet's oil and scaled where they are used: an analysis
+a factor. Blocks are stored with the data sheet's oil and scaled where they are used: an analysis
 that is entered late needs no log.
 """
 
