@@ -68,8 +68,9 @@ ENVIRONMENT: Mapping[str, str] = {
     "MALLOC_TRIM_THRESHOLD_": str(1 << 27),
 }
 HUGE_PAGES = "glibc.malloc.hugetlb=1"
-# Memory that a worker has at least: a day at 100 Hz takes 0.9 GiB at its peak [bytes].
-LEAST_MEMORY = 4 << 30
+# Memory that a worker may ask for, at least and at most: a day at 100 Hz asks for 2.3 GiB, and a
+# hostile log is to end long before all of a large machine is taken [bytes].
+LEAST_MEMORY, MOST_MEMORY = 4 << 30, 16 << 30
 # So often the run looks at the marks [s].
 LOOK_S = 0.25
 # A worker that has not ended by itself so long after its time is killed [s].
@@ -159,7 +160,7 @@ class Workers:
 def memory_of(n_workers: int) -> int:
     """Return the memory that each of some workers may take of this machine's [bytes]."""
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return max(machine // n_workers, LEAST_MEMORY)
+    return min(max(machine // n_workers, LEAST_MEMORY), MOST_MEMORY)
 
 
 @contextmanager

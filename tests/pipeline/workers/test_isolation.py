@@ -182,3 +182,14 @@ def is_running(pid: int) -> bool:
     except (ProcessLookupError, FileNotFoundError):
         return False
     return state != "Z"
+
+
+@pytest.mark.parametrize(
+    ("machine_gib", "n_workers", "limit_gib"), [(4, 2, 4), (24, 3, 8), (512, 2, 16)]
+)
+def test_a_worker_has_its_share_of_the_machine_within_limits(
+    monkeypatch: pytest.MonkeyPatch, machine_gib: int, n_workers: int, limit_gib: int
+) -> None:
+    sizes = {"SC_PHYS_PAGES": machine_gib << 18, "SC_PAGE_SIZE": 1 << 12}
+    monkeypatch.setattr(os, "sysconf", sizes.__getitem__)
+    assert engine.memory_of(n_workers) == limit_gib << 30
