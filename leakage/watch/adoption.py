@@ -278,8 +278,8 @@ def _take_for_granted(final: WatchState) -> WatchState:
     causes = final.evidence_now().causes
     likeliest, size = causes.every[attribution.likeliest], attribution.size.value
     along, of_flow = likeliest.direction, share_of_flow(likeliest, state.baseline)
-    several = now.change.several
-    if now.change.is_several or not now.change.candidates:
+    several = 0.0 if now.is_beside else now.change.several
+    if not now.is_beside and (now.change.is_several or not now.change.candidates):
         # What several causes have done, or an unknown one, is what the level of all flows says.
         level = change_in_force(final)
         assert level is not None
@@ -300,10 +300,11 @@ def _take_for_granted(final: WatchState) -> WatchState:
         back_as_before(along, size),
         detected_on,
     )
+    stands = now.prior if now.prior is not None and now.is_beside else now
     return replace(
         behind,
         period_from=period_from if flow > choices.OWN_PERIOD else None,
-        in_force=replace(now, attribution=None, prior=None, settled=mean_change(final)),
+        in_force=replace(stands, attribution=None, prior=None, settled=mean_change(final)),
     )
 
 

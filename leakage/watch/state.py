@@ -159,6 +159,12 @@ class ChangeInForce:
     circuit: CircuitChange | None = None
     settled: Estimate | None = None
 
+    @property
+    def is_beside(self) -> bool:
+        """What is detected is a notice beside a change that stands as it was."""
+        prior, change = self.prior, self.change
+        return prior is not None and prior.change.dates == change.dates and not change.continues
+
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
@@ -474,6 +480,8 @@ def change_in_force(state: WatchState) -> Change | None:
     if in_force is None or in_force.change.cause == ODD_NIGHTS:
         return None if in_force is None else in_force.change
     change = in_force.change
+    if in_force.prior is not None and in_force.is_beside:
+        change = in_force.prior.change
     # The size of a single cause is none of several.
     if in_force.attribution is not None and in_force.prior is None and not change.is_several:
         return change

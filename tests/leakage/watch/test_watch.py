@@ -569,8 +569,12 @@ def test_a_notice_is_no_end_of_a_leakage_that_has_changed(monkeypatch: pytest.Mo
     name = name_of(evidence, state.machine, state.baseline, state.day - 5, 0.0)
     named = replace(name, cause=TEMPERATURE_EFFECT), Estimate(-0.2, 0.02)
     monkeypatch.setattr(adoption, "_name", lambda *_: named)
-    change = in_force_of(state, evidence, attribution, state.day).change
-    assert change == replace(before, detected_on=state.day)
+    # It is detected and settles, and what stands is reported as it was.
+    beside = replace(state, in_force=in_force_of(state, evidence, attribution, state.day))
+    assert beside.in_force.change == replace(before, detected_on=state.day)
+    for shown in (beside, adoption._take_for_granted(beside)):
+        assert replace(reported_change(shown), size=before.size) == before
+    assert not adoption._take_for_granted(beside).is_settling
     undone = replace(state.in_force, change=replace(before, cause=BACK))
     assert reported_change(replace(state, in_force=undone)).cause == OPEN
 
