@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.config import Execution
 from pipeline.errors import EngineError
+from pipeline.messages import counted
 from pipeline.store.atomic_files import put
 from pipeline.workers.process import (
     Loss,
@@ -429,7 +430,8 @@ def _outcome(client: Client, future: Future[Any], task: Any) -> Any:
     try:
         outcome, staged = future.result()
     except KilledWorker as error:
-        return Loss("worker_died", f"{error.allowed_failures + 1} workers died of it")
+        n_died = counted(error.allowed_failures + 1, "worker")
+        return Loss("worker_died", f"{n_died} died of it")
     except Exception as error:
         is_there = client.status == "running"
         return loss_of(error) if is_there else Loss(SCHEDULER_LOST, str(error))

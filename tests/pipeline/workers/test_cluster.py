@@ -65,7 +65,7 @@ def test_what_a_task_does_to_its_worker_costs_no_other(two_workers: Processes) -
     assert sorted(found) == [
         "a done",
         "b done",
-        "hang_in_c: worker_died: 2 workers died of it",
+        "hang_in_c: worker_died: 1 worker died of it",
         "raise_error: internal: ZeroDivisionError: not foreseen",
     ]
 
