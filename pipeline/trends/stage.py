@@ -37,7 +37,13 @@ from pipeline.trends.motor_states import (
     without_past,
 )
 from pipeline.trends.night_state import NightState
-from pipeline.trends.nights import NO_LOG, OTHER_SETTINGS, PublishedNights, read_nights
+from pipeline.trends.nights import (
+    NO_LOG,
+    OTHER_SETTINGS,
+    BaselinePeriod,
+    PublishedNights,
+    read_nights,
+)
 from pipeline.trends.sentences import CHECK_ZERO, advice, sentence
 from pipeline.trends.tasks import (
     Record,
@@ -253,11 +259,10 @@ class MotorTrends:
         if last is None or last["to_state"] not in CHANGED:
             return
         nights, raised = self.course.nights, last["night"]
-        begins = {nights.labels[period.first]: period.reason for period in nights.periods()}
         is_of_settings = {
-            begin: reason.startswith(OTHER_SETTINGS)
-            for begin, reason in begins.items()
-            if begin > raised
+            nights.labels[period.first]: period.reason.startswith(OTHER_SETTINGS)
+            for period in nights.periods()
+            if nights.labels[period.first] > raised or self._is_older(last, period)
         }
         if not any(is_of_settings.values()) or is_withdrawn(nights.motor.decisions, raised):
             return
@@ -269,6 +274,21 @@ class MotorTrends:
                 words = f"in force since {raised} by the settings of then: {last['sentence']}"
                 row |= {"state": last["to_state"], "cause": last["cause"], "advice": JUDGE}
                 row["sentence"] = f"{words.removesuffix('.')}; now: {row['sentence']}"
+
+    def _is_older(self, change: Row, period: BaselinePeriod) -> bool:
+        """Return whether a change was detected by other settings than those of its night's period.
+
+        That has no whole baseline yet, so that its own watch could not have.
+        """
+        nights = self.course.nights
+        place = nights.place_from(change["night"])
+        n_before = np.count_nonzero(nights.records["blocks"][period.first : place + 1])
+        return bool(
+            period.reason.startswith(OTHER_SETTINGS)
+            and place < period.end
+            and change["cause"] is not None
+            and n_before <= nights.spec.settings.trend.baseline_nights
+        )
 
     def _sensor_state(self, zero: Zero, place: int) -> Row:
         """Return state of a sensor in a night, in the columns of `nights`."""
