@@ -23,7 +23,7 @@ FILE_NAMES = [
     *("<script>window.harmed=1<", "'\"><img src=x onerror=harmed>.parquet", "{{7*7}}.parquet"),
     *("..\\..\\x.parquet", "C:\\x.parquet", "CON.parquet"),
     *("[red]x[blue].parquet", "[@click=harmed].parquet"),
-    *("x" * 247 + ".parquet", "\udc80\udcff.parquet", "a'b\"c.parquet", "..parquet", " .parquet"),
+    *("x" * 247 + ".parquet", "\udc80\udcff.parquet", "a'b\"c.parquet", "a..parquet", " .parquet"),
 ]
 """What a file may be called here: all but a slash and a zero byte."""
 
