@@ -21,7 +21,7 @@ FILE_NAMES = [
     *("a\n=1.parquet", "a\r\nb.parquet", "\x1b[2J\x1b]0;x\x07.parquet"),
     *("\u202egnp.parquet", "\u2066a\u2069.parquet", "a\u2028b.parquet", "\ufeffa.parquet"),
     *("<script>window.harmed=1<", "'\"><img src=x onerror=harmed>.parquet", "{{7*7}}.parquet"),
-    *("..\\..\\x.parquet", "C:\\x.parquet", "CON.parquet"),
+    *("x\\..\\x.parquet", "C:\\x.parquet", "CON.parquet"),
     *("[red]x[blue].parquet", "[@click=harmed].parquet"),
     *("x" * 247 + ".parquet", "\udc80\udcff.parquet", "a'b\"c.parquet", "a..parquet", " .parquet"),
 ]
