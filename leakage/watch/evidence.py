@@ -244,8 +244,8 @@ class Evidence:
     ) -> StartEvidence:
         """Return what some starts say, up to the newest night.
 
-        With `by_operation` the paths may err where the operating conditions are not the baseline's;
-        `without` is a night that each start leaves out.
+        With `by_operation` the model may err where the operating conditions are not the
+        baseline's; `without` is a night that each start leaves out.
         """
         first, second = self._along_basis(starts, without, by_operation=by_operation)
         along = self.sums.basis.T @ self.causes.directions
@@ -265,7 +265,7 @@ class Evidence:
 
         An error of the paths since each start is left free: E at other operating conditions.
         """
-        basis, since = self.sums.basis, self.since(starts, without)
+        basis, since = self.sums.basis, self.since(starts, without, by_operation=by_operation)
         information, score = since.information, since.score
         error = self._operating_error(starts, information, is_free=by_operation)
         p = error.shape[1]
@@ -291,13 +291,15 @@ class Evidence:
         second -= left.swapaxes(2, 3) @ np.stack(rises)
         return first, second
 
-    def since(self, starts: Places, without: Places | None = None) -> Parts:
+    def since(
+        self, starts: Places, without: Places | None = None, *, by_operation: bool = True
+    ) -> Parts:
         """Return the sums from some starts on, of correlated nights, shapes (k, …)."""
         n_nights = (len(self.window) - starts).astype(float)
         share = self.wander.share_of_short(n_nights)
         # At other operating conditions the model's error is that of all nights alike, those within
         # nights too.
-        is_other = self.operates_otherwise(starts)
+        is_other = self.operates_otherwise(starts) & by_operation
         inflated = 1.0 / self.wander.inflation(n_nights)
         weights = np.where(is_other, inflated, share), np.where(is_other, 0.0, 1.0 - share)
         return self.sums.since(starts, np.stack(weights, axis=1), without)

@@ -120,7 +120,8 @@ class Watch:
             self.state.evidence_now(),
             in_force.attribution,
             in_force.change.detected_on,
-            circuit,
+            # One that has changed again says nothing of then: what it said stands.
+            circuit or in_force.circuit,
         )
         return Watch(replace(self.state, in_force=named))
 

@@ -86,6 +86,8 @@ def test_oil_of_a_tank_is_common_and_a_break_among_drifts_is_the_motors_own() ->
     changes = [night[0].verdict().change for night in settling]
     causes = [change.cause for change in changes if change is not None]
     assert set(causes) == {"tank"}
+    first, other, _ = settling[-1]
+    assert first.beside([other]).verdict().change.cause == "tank"  # the third has changed again
     drifts = [grown("all_flows", by, BEGIN - 5 * place) for place, by in enumerate((0.03, 0.08))]
     break_ = grown("all_gaps", 0.15, BEGIN)
     last = together(break_, *drifts)[BEGIN + 5 - FIRST][0]

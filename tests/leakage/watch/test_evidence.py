@@ -106,7 +106,7 @@ class Dense:
         short = 1.0 + 2.0 * float(np.sum((1.0 - lags / n) * serial**lags))
         long = (1.0 + serial) / (1.0 - serial)
         share = (1 / short - 1 / long) / (1 - 1 / long)
-        is_other = float(DISTANCE[start:].mean()) - 1.5 > 0.5
+        is_other = by_operation and float(DISTANCE[start:].mean()) - 1.5 > 0.5
         nights = []
         for night, design in enumerate(self.designs):
             shift = design[:, :P] @ SPREAD @ design[:, :P].T
