@@ -13,6 +13,7 @@ from leakage.watch.baseline import Baseline, baseline_of
 from leakage.watch.causes import back_as_before
 from leakage.watch.evidence import Sums, Window
 from leakage.watch.nights import Machine, NightBlocks, WatchSettings
+from leakage.watch.odd_nights import odd_places
 from leakage.watch.state import WatchState, all_causes, on_first_baseline
 from leakage.watch.wander import Wander, WanderPrior, estimate_wander
 
@@ -67,7 +68,10 @@ def with_new_wander(state: WatchState) -> WatchState:
         return state
     taken = max(state.n_baseline, so_far - choices.ANEW_DELAY)
     dropped = state.n_nights - len(state.window)
-    wander = wander_of(state.baseline, state.window, WanderPrior(), taken - dropped)
+    # Odd nights are no wander: as such, those that follow would be none.
+    usual = np.arange(len(state.window)) < taken - dropped
+    usual[odd_places(state.window)] = False
+    wander = wander_of(state.baseline, state.window.only(usual), WanderPrior())
     due = math.ceil(so_far * choices.ANEW_FACTOR)
     sums = Sums.of(state.window, wander, state.causes.basis)
     return replace(state, wander=wander, sums=sums, due=due)
@@ -112,14 +116,12 @@ def new_period(state: WatchState, earlier: Earlier) -> WatchState:
     )
 
 
-def wander_of(
-    baseline: Baseline, window: Window, prior: WanderPrior, n_nights: int | None = None
-) -> Wander:
-    """Return wander of a window's first nights; of all of them where no number is given."""
+def wander_of(baseline: Baseline, window: Window, prior: WanderPrior) -> Wander:
+    """Return wander of a window's nights."""
     return estimate_wander(
-        window.information[:n_nights],
-        window.score[:n_nights],
-        window.days[:n_nights],
+        window.information,
+        window.score,
+        window.days,
         baseline.all_paths[: baseline.n_paths],
         baseline.columns.prior(),
         prior,

@@ -298,6 +298,16 @@ def test_odd_nights_again_and_again() -> None:
     assert [change.size.value for change in odd] == pytest.approx([0.10] * len(odd), abs=0.02)
 
 
+def test_odd_nights_that_go_on_stay_in_force() -> None:
+    """What a motor does by itself is learned anew beside them, not of them."""
+    plant = Plant(growth=lambda night: 1.08 if night >= 40 and night % 3 == 0 else 1.0)
+    watches = watched(plant.nights(90, 2), first=FIRST)
+    detected = first_detected(watches)
+    assert detected is not None
+    states = [watch.state.in_force for watch in watches if watch.day >= detected.day]
+    assert {state and state.change.cause for state in states} == {"odd_nights"}
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nights_alike_in_a_row_are_no_odd_nights(seed: int) -> None:
     """7c.1: the ordinary nights between odd ones are ordinary."""
