@@ -324,13 +324,15 @@ def _print_motor(outcome: MotorOutcome, *, as_json: bool) -> None:
         "error_code": code,
         "message": message,
         "nights": dict(outcome.counts),
+        "anew": outcome.anew,
         "files": _by_fate(outcome.files),
         "growing": outcome.growing,
         "left_out": outcome.left_out,
         "findings": outcome.findings,
         "stays": {str(label): stay for label, stay in outcome.stays.items()},
     }
-    words = f"{motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}"
+    anew = f"; {outcome.anew}" if outcome.anew else ""
+    words = f"{motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}{anew}"
     tell(event, words, as_json=as_json)
     if as_json:
         return

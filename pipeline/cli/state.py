@@ -85,6 +85,8 @@ def status(
         rows = [_cells(motor)[: len(columns)] for motor in fleet_state.motors]
         styles = [COLOURS.get(motor.state, "") for motor in fleet_state.motors]
         print_table(columns, rows, fleet.name if is_long else "", styles, is_dense=not is_long)
+        if not (fleet.output / "tables").is_dir():
+            say(f"no run has published anything in {fleet.output}", err=not sys.stdout.isatty())
         for line in fleet_lines(fleet_state, too_old=too_old, is_silent=is_silent):
             say(line, err=not sys.stdout.isatty())
     is_late = too_old or (max_age is not None and is_silent)
@@ -354,11 +356,13 @@ def baseline_reset(
     fleet = load(config, output, None, logs=False)
     fleet.known_motors([motor])
     with read_state_file(fleet.output) as state:
-        query = "SELECT min(night), max(night) FROM nights WHERE motor_id = ?"
-        ((first, last),) = state.rows(query, motor) or ((None, None),)
-    after = last and str(dt.date.fromisoformat(last) + dt.timedelta(days=1))
-    if first and after and not first <= str(night) <= after:
-        message = f"{motor} has the nights {first} to {last}; expected one of them, or the next"
+        rows = state.rows("SELECT night FROM nights WHERE motor_id = ? ORDER BY night", motor)
+    nights = [dt.date.fromisoformat(label) for (label,) in rows]
+    if not nights:
+        raise UsageError("unknown_night", f"{fleet.output} has no night of {motor}; run fit-fleet")
+    if not nights[0] <= night <= nights[-1] + dt.timedelta(days=1):
+        span = f"{nights[0]} to {nights[-1]}"
+        message = f"{motor} has the nights {span}; expected one of them, or the next"
         raise UsageError("unknown_night", message)
     record_decision(fleet.output, Decision(motor, "", now(), "baseline_reset", night, None, note))
     typer.echo(f"{motor}: its baseline starts with the night {night}")

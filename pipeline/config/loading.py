@@ -229,11 +229,18 @@ def _read_folder(
 ) -> _Folder[Model]:
     """Return all TOML files of a folder; none where it cannot be read, which is reported."""
     files: _Folder[Model] = _Folder({}, {}, {})
-    if folder is not None and not folder.is_dir():
-        faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
-    # A hidden file, as macOS leaves beside each, is none of the fleet's.
-    for path in sorted(folder.glob("[!.]*.toml")) if folder else ():
-        file, name = f"{folder.name}/{path.name}" if folder else "", path.stem
+    paths: list[Path] = []
+    if folder is not None:
+        try:
+            # A hidden file, as macOS leaves beside each, is none of the fleet's.
+            shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+            paths = sorted(path for path in shown if path.suffix == ".toml")
+        except PermissionError as error:
+            faults.append(Fault(folder.name, "", f"cannot be read: {error.strerror}"))
+        except OSError:
+            faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
+    for path in paths:
+        file, name = f"{path.parent.name}/{path.name}", path.stem
         document = read_toml(path, file, faults)
         files.own[name] = document or {}
         files.documents[name] = complete(document or {}, context.get("defaults", {}), name)

@@ -194,7 +194,9 @@ def clean_channels(
     if silent:
         raise Insufficient(INSUFFICIENT_DATA, f"no samples of {', '.join(silent)} in this night")
     if all(channel.period_us is None for channel in cleaned.values()):
-        raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
+        raise Insufficient(
+            INSUFFICIENT_DATA, f"fewer than two samples in this night{_causes(counted)}"
+        )
     samples, joint = bring_together(cleaned, night, settings)
     return samples, counted + joint
 
@@ -213,14 +215,19 @@ def require_enough(samples: Samples, quality: tuple[Quality, ...]) -> None:
             )
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < MINIMUM_KEPT_SHARE:
-        rules = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
-        rules.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
-        causes = _shares({f"{q.channel} {q.reason}": q for q in rules[:2]})
         raise Insufficient(
             INSUFFICIENT_DATA,
             f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
-            f"{100 * MINIMUM_KEPT_SHARE:.0f} % are needed" + (f" ({causes})" if causes else ""),
+            f"{100 * MINIMUM_KEPT_SHARE:.0f} % are needed{_causes(quality)}",
         )
+
+
+def _causes(quality: Sequence[Quality]) -> str:
+    """Return in brackets what refused most; empty where nothing did."""
+    rules = [q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")]
+    rules.sort(key=lambda q: -q.n_refused / max(q.n_samples, 1))
+    causes = _shares({f"{q.channel} {q.reason}": q for q in rules[:2]})
+    return f" ({causes})" if causes else ""
 
 
 def _shares(quality: Mapping[str, Quality]) -> str:

@@ -30,6 +30,7 @@ from pipeline.logs.processed import (
     read_processed,
     read_settings,
 )
+from pipeline.messages import counted
 from pipeline.run.tasks import MotorOutcome, MotorTask, RunRequest, Step, Work
 from pipeline.schema import (
     DECIDING_NIGHTS,
@@ -261,6 +262,14 @@ class NightPlan:
         }
         return failed - self.logs.present()
 
+    def _made_anew(self) -> str:
+        """Return how many published nights other settings made anew, in words; empty for none."""
+        before, now, asks_for = self.settings_before, self.hashes.settings, self.task.asks_for
+        labels = [night for night in self.done if self.is_published(night) and not asks_for(night)]
+        is_other = any(before.get(part) != now[part] for part in ("versions", "nights"))
+        nights = counted(len(labels), "night")
+        return f"{nights} made anew: {self.why_anew}" if labels and is_other else ""
+
     def _n_standing(self) -> int:
         """Return failures that stand after this run: nights, logs of no night, and absent logs."""
         failed = [
@@ -326,6 +335,7 @@ class NightPlan:
             message=message,
             counts=counts,
             nights=tuple(sorted(self.done)),
+            anew=self._made_anew(),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(settled),
             stays={

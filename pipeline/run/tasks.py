@@ -166,6 +166,7 @@ class MotorOutcome:
     message: str | None = None
     counts: Mapping[str, int] = field(default_factory=dict)  # nights by outcome
     nights: tuple[dt.date, ...] = ()  # labels of the nights whose rows are staged
+    anew: str = ""  # how many published nights other settings made anew, and which; in words
     inputs: tuple[str, ...] = ()  # hashes of the contents that were read, in the order of the files
     # Log files by what came of them: read, unchanged, growing, failed or left.
     files: Mapping[str, int] = field(default_factory=dict)

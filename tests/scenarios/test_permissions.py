@@ -97,6 +97,13 @@ def test_an_output_that_may_not_be_written_is_still_read(fleet: ScenarioFleet) -
     assert "log A/A_2026-01-02.parquet: ok" in run(fleet, "explain", "A", fleet.label(1)).out
 
 
+def test_a_folder_of_config_that_may_not_be_read_is_named(fleet: ScenarioFleet) -> None:
+    (fleet.config.parent / "motors").chmod(0)
+    done = run(fleet, "check")
+    assert (done.code, done.out) == (2, "")
+    assert "motors: cannot be read: Permission denied" in done.err
+
+
 def test_an_output_that_cannot_be_made_is_named(fleet: ScenarioFleet) -> None:
     fleet.output.rename(fleet.folder / "elsewhere")
     fleet.folder.chmod(0o555)

@@ -75,6 +75,11 @@ def cut_flows(fleet: ScenarioFleet) -> None:
     log.with_columns(flow).write_csv(fleet.log("B", 2))
 
 
+def turn_log(fleet: ScenarioFleet) -> None:
+    """Write a log's rows newest first."""
+    pl.read_csv(fleet.log("A", 2), infer_schema_length=None).reverse().write_csv(fleet.log("A", 2))
+
+
 def deliver_anothers_log(fleet: ScenarioFleet) -> None:
     """Put a motor's log into another's place."""
     fleet.log("B", 2).write_bytes(fleet.log("A", 2).read_bytes())
@@ -104,6 +109,7 @@ SITUATIONS: dict[Callable[[ScenarioFleet], None], tuple[Any, ...]] = {
     rename_folder: ("check", 1, "a name with a bracket is written [[]1]"),
     add_motor: ("check", 2, "motors/a.toml: motor_id"),
     name_what_is_not_there: ("check", 1, "changes nothing till then", *ABSENT),
+    turn_log: ("check", 1, "fewer than two samples in this night (", "newest first"),
     cut_flows: ("check", 1, "of leakage_flow at work lie beyond valid_range", MAXIMUM),
     name_circuits_by_case: ("check", 2, "motors/B.toml: oil_circuit"),
     misplace_key: ("check", 2, "limits: is no key of this table; move it"),
@@ -133,6 +139,14 @@ def test_tables_are_not_exported_to_where_logs_are_looked_for(fleet: ScenarioFle
         done = fleet.run("export", "--csv", fleet.folder / folder)
         assert (done.code, done.out) == (2, "")
         assert "csv_folder" in done.err
+
+
+def test_an_output_without_a_night_is_named(fleet: ScenarioFleet) -> None:
+    """Mostly a folder that is misspelt."""
+    assert f"published anything in {fleet.output}" in fleet.run("status").err
+    done = fleet.run("baseline reset", "A", "2026-01-02", "--note", "worn")
+    assert (done.code, done.out) == (2, "")
+    assert not fleet.output.exists()
 
 
 def test_words_that_cannot_be_written_end_nothing(

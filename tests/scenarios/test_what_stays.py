@@ -169,8 +169,8 @@ def test_an_alarm_that_corrected_logs_do_not_show_closes_as_recomputed(
 
 # Others are tried in `test_whose_output.py`.
 SETTINGS = {
-    "type": ("motors/M1.toml", 'motor_type = "CB400"', 'motor_type = "CB560"'),
-    "end of night": ("fleet.toml", "[execution]", "[nights]\nend_hour = 5\n[execution]"),
+    "motor_type": ("motors/M1.toml", 'motor_type = "CB400"', 'motor_type = "CB560"'),
+    "nights.end_hour": ("fleet.toml", "[execution]", "[nights]\nend_hour = 5\n[execution]"),
 }
 
 
@@ -187,6 +187,7 @@ def test_a_corrected_setting_redoes_what_it_can_and_names_the_others(
     assert list(works.values()) == ["stay", "stay", "read", "read"]
     (motor,) = fleet.run("fit-fleet", "--json").events("motor")
     assert motor["nights"] == {"ok": 2}
+    assert motor["anew"].startswith(f"2 nights made anew: changed setting {setting}")
     assert motor["stays"].keys() == {str(fleet.label(1)), str(fleet.label(2))}
     assert all(why.endswith("its logs are gone") for why in motor["stays"].values())
     assert_frame_equal(figures(fleet).head(2), before.head(2))
