@@ -79,10 +79,10 @@ format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# Three at a time on two cores: a quarter of their time is waiting for processes and limits. Long
-# files come first, so that short ones fill the end.
+# Three at a time on two cores: a quarter of their time is waiting for processes and limits. In
+# the order of their names: the short files of tests/ itself fill the end.
 test: $(DEV)   ## the tests of every change
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not full" tests/scenarios leakage pipeline tests
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not full"
 
 test-full: $(FULL) ## all tests, with the long ones (84 minutes, two tests at a time)
 	$(BIN)/pytest -n 2 --dist worksteal

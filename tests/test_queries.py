@@ -137,56 +137,41 @@ def test_polars_gives_the_same(
                 assert row[name] == pytest.approx(row[f"{name}_right"])
 
 
-def test_1_leakage_a_month(ask: Any) -> None:
-    rows = {(row["motor_id"], row["month"].month): row for row in ask(1)}
-    assert rows[WORN, 1]["own_leakage_l_per_min"] == pytest.approx(1.0)
-    assert rows[WORN, 3]["own_leakage_l_per_min"] == pytest.approx(1.2)
-    assert rows[WORN, 3]["own_leakage_lower"] == pytest.approx(1.1)
-    assert len(rows) == 6
+# By question, a row of its answer: what it is of, and what it says.
+ROWS: list[tuple[int, dict[str, Any], dict[str, Any]]] = [
+    (1, {"motor_id": WORN, "month": dt.date(2026, 1, 1)}, {"own_leakage_l_per_min": 1.0}),
+    (
+        *(1, {"motor_id": WORN, "month": dt.date(2026, 3, 1)}),
+        {"own_leakage_l_per_min": 1.2, "own_leakage_lower": 1.1},
+    ),
+    (2, {"motor_id": WORN}, {"percent": 20.0}),
+    (3, {"motor_type": "CB560"}, {"nights": N, "worst_of_20": 70.0}),
+    (3, {"motor_type": "CB400"}, {"nights": N - 1}),
+    (4, {"motor_id": WORN}, {"nights_apart": 10}),
+    (4, {"motor_id": STEADY}, {"nights_apart": 0}),
+    (5, {"motor_id": WORN}, {"channel": "speed", "bad_nights": N, "refused_percent": 10.0}),
+    (5, {"motor_id": STEADY}, {"bad_nights": 0}),
+    (7, {"motor_id": WORN}, {"onset": ONSET}),
+    (8, {"motor_id": WORN}, {"percent_per_year": 50.0}),
+    (11, {"motor_id": STEADY}, {"days_behind": 1, "nights_failed": 1}),
+    (11, {"motor_id": WORN}, {"last_fit": LAST}),
+]
 
 
-def test_2_who_got_worse(ask: Any) -> None:
-    (row,) = ask(2)
-    assert (row["motor_id"], row["percent"]) == (WORN, pytest.approx(20.0))
+@pytest.mark.parametrize(("number", "of", "says"), ROWS)
+def test_a_row_says_what_is_true(
+    ask: Any, number: int, of: dict[str, Any], says: dict[str, Any]
+) -> None:
+    (row,) = (row for row in ask(number) if row.items() >= of.items())
+    assert {name: row[name] for name in says} == pytest.approx(says)
 
 
-def test_3_fit_by_type(ask: Any) -> None:
-    rows = {row["motor_type"]: row for row in ask(3)}
-    assert rows["CB560"]["nights"] == N
-    assert rows["CB400"]["nights"] == N - 1
-    assert rows["CB560"]["worst_of_20"] == 70.0
-
-
-def test_4_training_against_validation(ask: Any) -> None:
-    first, second = ask(4)
-    assert (first["motor_id"], first["nights_apart"]) == (WORN, 10)
-    assert second["nights_apart"] == 0
-
-
-def test_5_bad_sensors(ask: Any) -> None:
-    first, second = ask(5)
-    assert (first["motor_id"], first["channel"], first["bad_nights"]) == (WORN, "speed", N)
-    assert first["refused_percent"] == pytest.approx(10.0)
-    assert second["bad_nights"] == 0
-
-
-def test_6_to_9_are_of_the_worn_motor(ask: Any) -> None:
-    for number in (6, 7, 8, 9):
-        (row,) = ask(number)
-        assert row["motor_id"] == WORN
-    assert ask(7)[0]["onset"] == ONSET
-    assert ask(8)[0]["percent_per_year"] == pytest.approx(50.0)
-
-
-def test_10_the_largest_effects_come_first(ask: Any) -> None:
+def test_rows_are_those_that_are_asked_for_in_their_order(ask: Any) -> None:
+    motors = {number: [row.get("motor_id") for row in ask(number)] for number in QUESTIONS}
+    assert [motors[number] for number in (2, 6, 7, 8, 9)] == [[WORN]] * 5
+    assert motors[4] == motors[5] == [WORN, STEADY]
+    assert (len(motors[1]), motors[12].count(WORN)) == (6, 10)
     assert [row["source"] for row in ask(10)] == ["leakage_flow gain", "speed gain", "density"]
-
-
-def test_11_and_12_what_failed(ask: Any) -> None:
-    rows = {row["motor_id"]: row for row in ask(11)}
-    assert (rows[STEADY]["days_behind"], rows[STEADY]["nights_failed"]) == (1, 1)
-    assert "its end is missing" in rows[STEADY]["reason"]
-    assert rows[WORN]["last_fit"] == LAST
-    nights = ask(12)
-    assert [row["motor_id"] for row in nights].count(WORN) == 10
-    assert nights[0]["status"] == "failed"
+    assert ask(12)[0]["status"] == "failed"
+    (reason,) = (row["reason"] for row in ask(11) if row["motor_id"] == STEADY)
+    assert "its end is missing" in reason

@@ -121,7 +121,7 @@ def test_check_and_explain_say_what_it_gains(unfitted: ScenarioFleet, fleet: Sce
 
 @covers("fit-fleet --redo --motors", "status")
 def test_a_delay_of_later_nights_is_proposed_and_applied_on_demand(tmp_path: Path) -> None:
-    fleet = make_fleet(tmp_path, late_flow=(9, DELAY_S), minutes=30.0, nights=16).fitted()
+    fleet = make_fleet(tmp_path, late_flow=(9, DELAY_S), minutes=20.0, nights=16).fitted()
     assert set(column(fleet, "M1", "drain_delay_s")) == {0.0}
     proposal = f"--redo {fleet.label(9)}..{fleet.label(16)} --motors M1"
     assert proposal in fleet.run("status").err

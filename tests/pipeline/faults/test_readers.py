@@ -81,7 +81,7 @@ class Reader(threading.Thread):
         return {path.name: path.stat().st_ino for path in folder.rglob("*.parquet")}
 
     def run(self) -> None:
-        while not self.stopped.is_set():
+        while not self.stopped.wait(0.005):  # or else they leave the run no time
             for table in READ:
                 before = self._files(table)
                 try:
