@@ -106,6 +106,9 @@ def test_memory_and_size_maximise_the_restricted_likelihood_written_out() -> Non
     z = made_night(20, 0.02 * error)
     blocks, number = blocks_of(z), np.arange(20)
     found = slow_errors(blocks, number, FREE, np.zeros(3))
+    # However small the errors are, as long as they are no rounding.
+    small = slow_errors(blocks_of(made_night(20, 1e-6 * error)), number, FREE, np.zeros(3))
+    assert small.memory == found.memory > 0.0
     combine = np.eye(5)[:, [0, 1, 2, 4]]
     combine[3, 3] = -1.0
     theta = certify(merge(blocks), -BOUNDS, BOUNDS).coefficients
