@@ -228,10 +228,11 @@ def _name(state: WatchState, evidence: Evidence, attribution: Attribution) -> tu
     if TEMPERATURE_EFFECT not in (name.likeliest.name, likeliest.name):
         return name, attribution.leakage
     # Its size is none of the leakage. Where that has changed at the motor's usual operating point,
-    # with evidence of its own, no effect of temperature explains it; nor is it the name where the
-    # mean of the last nights shows the same.
-    level = since_before(state, attribution.start)
-    mean = with_model_error(state, present(state))
+    # beside the effect that all nights tell together, no effect of temperature explains it: with
+    # evidence of its own, or, where the effect is the name, if the last nights' mean shows it, too.
+    beside = replace(state, in_force=None)
+    level, mean = since_before(beside, attribution.start), present(beside)
+    mean = with_model_error(state, mean)
     is_shown = not (level.holds_zero or mean.holds_zero) and level.value * mean.value > 0.0
     is_named = name.cause == TEMPERATURE_EFFECT
     if (is_named and is_shown) or 0.5 * (level.value / level.sd) ** 2 >= limit:
