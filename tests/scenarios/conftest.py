@@ -45,6 +45,12 @@ def _declared(request: pytest.FixtureRequest) -> Iterator[None]:
     assert not left, f"declared, but not run, or nothing of it read: {sorted(left)}"
 
 
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Receivers that refuse are tried again at once."""
+    monkeypatch.setattr("pipeline.notification.outbox.PAUSES_S", (0.0, 0.0))
+
+
 @pytest.fixture(scope="session")
 def _demo(shared_folder: Path) -> ScenarioFleet:
     plan = Plan(DEMO_NIGHTS, 30.0, 1.0, 1, FIRST)

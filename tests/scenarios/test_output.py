@@ -158,30 +158,3 @@ def test_a_damaged_table_is_detected_and_made_again(plant: ScenarioFleet) -> Non
     after = plant.run("check", "--tables", "--json")
     assert (after.code, after.events("tables")[0]["n_faults"]) == (0, 0)
     assert_frame_equal(plant.table("predictions").drop("run_id"), before, check_row_order=False)
-
-
-@pytest.mark.parametrize(
-    "loss",
-    [pytest.param("state.db gone", marks=pytest.mark.full), "state.db damaged", "table damaged"],
-)
-def test_what_people_entered_outlives_the_state_file_or_the_table(
-    plant: ScenarioFleet, loss: str
-) -> None:
-    """Right after it was entered, and where something is entered again; figures stay as well."""
-    nights = plant.table("nights").drop("run_id")
-    plant.run("ack", "broken", "--note", "seen")
-    table = plant.output / "tables" / "decisions" / "decisions.parquet"
-    if loss == "table damaged":
-        table.write_bytes(b"damaged")
-    else:
-        for path in plant.output.glob("state*"):
-            path.unlink()
-    if loss == "state.db damaged":
-        (plant.output / "state.db").write_bytes(b"damaged")
-        plant.run("fit-fleet", "--motors", "broken")
-        assert_frame_equal(plant.table("nights").drop("run_id"), nights, check_row_order=False)
-    plant.run("ack", "broken", "--note", "seen again")
-    assert plant.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
-    plant.run("fit-fleet", "--motors", "broken")
-    assert plant.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
-    assert plant.newest("broken")["acknowledged"] == "seen again"

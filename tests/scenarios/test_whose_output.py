@@ -104,6 +104,33 @@ def test_a_restored_state_file_costs_nothing_that_is_published_or_said(
     assert worn.run("check", "--tables").code == 0
 
 
+@pytest.mark.parametrize(
+    "loss",
+    [pytest.param("state.db gone", marks=pytest.mark.full), "state.db damaged", "table damaged"],
+)
+def test_what_people_entered_outlives_the_state_file_or_the_table(
+    worn: ScenarioFleet, loss: str
+) -> None:
+    """Right after it was entered, and where something is entered again; figures stay as well."""
+    nights = worn.table("nights").drop("run_id")
+    worn.run("ack", "broken", "--note", "seen")
+    table = worn.output / "tables" / "decisions" / "decisions.parquet"
+    if loss == "table damaged":
+        table.write_bytes(b"damaged")
+    else:
+        for path in worn.output.glob("state*"):
+            path.unlink()
+    if loss == "state.db damaged":
+        (worn.output / "state.db").write_bytes(b"damaged")
+        worn.run("fit-fleet", "--motors", "broken")
+        assert_frame_equal(worn.table("nights").drop("run_id"), nights, check_row_order=False)
+    worn.run("ack", "broken", "--note", "seen again")
+    assert worn.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
+    worn.run("fit-fleet", "--motors", "broken")
+    assert worn.table("decisions")["note"].sort().to_list() == ["seen", "seen again"]
+    assert worn.newest("broken")["acknowledged"] == "seen again"
+
+
 @covers("ack --note")
 def test_a_motor_that_is_gone_stays_until_a_person_confirms_it(
     worn: ScenarioFleet, caplog: pytest.LogCaptureFixture
