@@ -141,25 +141,12 @@ def _run(request: RunRequest, *, as_json: bool, fail_on_alarm: bool) -> NoReturn
     with read_state_file(request.fleet.output) as state:
         for words in same_logs(state):
             tell({"event": "same_logs", "words": words}, words, as_json=as_json, err=True)
-    for motor_id in _without_redo(request, result):
-        words = f"{motor_id}: no log covers a night of --redo: what is published stays"
-        tell({"event": "no_redo", "motor_id": motor_id}, words, as_json=as_json, err=True)
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
     faults = result.damage_left or result.copy_fault
     is_sound = result.is_good and not faults
     raise typer.Exit(EXIT_OK if is_sound and not alarmed else EXIT_MOTORS_FAILED)
-
-
-def _without_redo(request: RunRequest, result: RunResult) -> Iterator[str]:
-    """Yield motors of which none of the nights that were asked for was made anew."""
-    if request.redo is None:
-        return
-    first, last = request.redo
-    for outcome in result.outcomes:
-        if not any(first <= night <= last for night in outcome.nights):
-            yield outcome.motor_id
 
 
 def fit(

@@ -292,6 +292,8 @@ class NightPlan:
         """Return the reason for no fit although nothing failed; None with a fit, or none to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
+        if self.task.redo and not any(map(self.task.asks_for, self.done)):
+            return "no log covers a night of --redo: what is published stays"
         if status != INSUFFICIENT_DATA:
             return None
         label = min(label for label, night in self.done.items() if night.status == status)

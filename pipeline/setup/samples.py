@@ -285,14 +285,13 @@ def cut_flow(spec: MotorSpec, channels: Mapping[str, RawChannel]) -> Iterator[st
     """
     channel, value = spec.file.channels[COUNTED], _flow_at_work(spec, channels)
     _, high = channel.valid_range or FALLBACK_VALID_RANGE[COUNTED]
-    at_maximum = np.inf if channel.sensor_maximum is None else channel.sensor_maximum
-    is_cut = (value > high) | (value >= at_maximum - channel.resolution)
-    if len(value) and (share := float(is_cut.mean())) > MOST_CUT:
-        key = "sensor_maximum" if at_maximum <= high else "valid_range"
+    if channel.sensor_maximum is not None:
+        high = min(high, channel.sensor_maximum - channel.resolution)
+    if (n_cut := np.count_nonzero(value > high)) > MOST_CUT * len(value):
         yield (
-            f"samples_refused: {100 * share:.0f} % of {COUNTED} at work lie beyond {key}, "
-            f"{min(at_maximum, high):g} l/min: the leakage comes out too small; correct it, or the "
-            "meter is too small"
+            f"samples_refused: {100 * n_cut / len(value):.0f} % of {COUNTED} at work lie beyond "
+            f"{high:g} l/min: the leakage comes out too small; correct valid_range or "
+            "sensor_maximum, or the meter is too small"
         )
 
 

@@ -110,7 +110,7 @@ SITUATIONS: dict[Callable[[ScenarioFleet], None], tuple[Any, ...]] = {
     add_motor: ("check", 2, "motors/a.toml: motor_id"),
     name_what_is_not_there: ("check", 1, "changes nothing till then", *ABSENT),
     turn_log: ("check", 1, "fewer than two samples in this night (", "newest first"),
-    cut_flows: ("check", 1, "of leakage_flow at work lie beyond valid_range", MAXIMUM),
+    cut_flows: ("check", 1, "of leakage_flow at work lie beyond 1 l/min", MAXIMUM),
     name_circuits_by_case: ("check", 2, "motors/B.toml: oil_circuit"),
     misplace_key: ("check", 2, "limits: is no key of this table; move it"),
     state_share: ("check", 2, "alarms.alarm_percent"),
@@ -118,7 +118,7 @@ SITUATIONS: dict[Callable[[ScenarioFleet], None], tuple[Any, ...]] = {
         "fit-fleet --since 2026-01-03 --redo 2026-01-20",
         0,
         "A and B: 1 night, 2026-01-03 to 2026-01-03, were made from the same logs",
-        "A: no log covers a night of --redo",
+        "no log covers a night of --redo",
     ),
 }
 
