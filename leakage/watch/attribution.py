@@ -283,12 +283,6 @@ def _together(
             ALL_FLOWS, frozenset((ALL_FLOWS,))
         )
         groups |= dict.fromkeys(alike, alike)
-    if by_name.get(BACK, 0.0) > choices.MOSTLY:
-        # What undoes a change is its cause in the other direction.
-        others = {name: share for name, share in by_name.items() if name not in (BACK, SEVERAL)}
-        nearest = max(others, key=others.__getitem__)
-        alike = groups.get(nearest, frozenset((nearest,))) | {BACK}
-        groups |= dict.fromkeys(alike, alike)
     shared: dict[frozenset[str], float] = {}
     for name, probability in by_name.items():
         group = groups.get(name, frozenset((name,)))
@@ -305,9 +299,6 @@ def _identify(
     group, probability = max(groups.items(), key=lambda entry: entry[1])
     if probability < choices.NAMED or SEVERAL in group:
         return NOT_IDENTIFIED, probability
-    if BACK in group and by_name[BACK] >= choices.MOSTLY * probability:
-        return BACK, probability
-    group -= {BACK}
     if len(group) == 1:
         return next(iter(group)), probability
     if group <= frozenset(COMMON):
