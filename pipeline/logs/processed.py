@@ -10,7 +10,7 @@ import datetime as dt
 import hashlib
 import json
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
@@ -278,26 +278,25 @@ def stay_lines(stays: Mapping[dt.date, str]) -> Iterator[str]:
 
 def same_logs(state: StateDatabase) -> Iterator[str]:
     """Yield motors whose fitted nights are read alike from the same contents: one has another's."""
-    read_with = dict(state.rows("SELECT motor_id, max(read_with) FROM logs GROUP BY motor_id"))
-    rows = state.rows("SELECT motor_id, night, logs FROM nights WHERE status = ?", OK)
-    made = {(motor_id, night): frozenset(logs.split()) for motor_id, night, logs in rows}
-    readers = defaultdict[tuple[str, ...], list[str]](list)
-    for (motor_id, night), logs in made.items():
-        for content in logs:
-            readers[night, content, read_with.get(motor_id, "")].append(motor_id)
-    shared = defaultdict[tuple[str, str], set[str]](set)
-    for (night, *_), motors in readers.items():
-        for first, second in combinations(sorted(motors), 2):
-            logs, others = made[first, night], made[second, night]
-            # A log of one channel, such as a tank's thermometer, may be of several motors.
-            if logs <= others or others <= logs:
-                shared[first, second].add(night)
-    for (first, second), nights in sorted(shared.items()):
-        n, span = counted(len(nights), "night"), f"{min(nights)} to {max(nights)}"
-        yield (
-            f"{first} and {second}: {n}, {span}, were made from the same logs: put each motor's "
-            "own into place, or correct logs.files"
+    readers = state.rows(
+        "SELECT group_concat(DISTINCT motor_id) FROM logs GROUP BY sha256, read_with"
+        " HAVING count(DISTINCT motor_id) > 1"
+    )
+    pairs = {pair for (ids,) in readers for pair in combinations(sorted(ids.split(",")), 2)}
+    for first, second in sorted(pairs):
+        # A log of one channel, such as a tank's thermometer, may be of several motors.
+        ((n, begin, end),) = state.rows(
+            "SELECT count(*), min(night), max(night) FROM nights a JOIN nights b USING (night)"
+            " WHERE (a.motor_id, b.motor_id) = (?1, ?2) AND a.status = ?3 AND b.status = ?3"
+            " AND a.logs != '' AND b.logs != ''"
+            " AND (instr(a.logs, b.logs) OR instr(b.logs, a.logs))",
+            *(first, second, OK),
         )
+        if n:
+            yield (
+                f"{first} and {second}: {counted(n, 'night')}, {begin} to {end}, were made from "
+                "the same logs: put each motor's own into place, or correct logs.files"
+            )
 
 
 def forget_nights(
