@@ -155,8 +155,8 @@ def prune(
     with read_state_file(fleet.output) as state:
         newest_night = newest_of_fleet(fleet, state, now())
     motor_ids = [spec.motor_id for spec in fleet.motors]
-    rows = [state.row for state in published_states(fleet.output, motor_ids)]
-    baselines = [(row["baseline_start"], row["baseline_end"]) for row in rows]
+    rows = (state.row for state in published_states(fleet.output, motor_ids))
+    baselines = ((row["baseline_start"], row["baseline_end"]) for row in rows)
     needed = {night for ends in baselines if all(ends) for night in nights_between(*ends)}
     newest = None if newest_night is None else newest_night.night
     old = old_files(fleet.output, keep_by_table, newest, needed)

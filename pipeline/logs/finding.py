@@ -99,14 +99,11 @@ def _matching_files(root: Path, pattern: str, silent: Collection[str]) -> Iterat
 
 
 def _is_hidden(name: str, pattern: str) -> bool:
-    """Return True for what a system or a program leaves beside logs, unless a pattern names it.
-
-    As in a shell a star is no leading point: `._a.csv` of macOS, `.a.csv.X7f` of rsync under way,
-    snapshots of a file server. `~$a.csv` is the lock of a file that is open in Excel.
+    """Return True for what programs leave beside logs, unless a pattern names it.
 
     Examples
     --------
-    >>> [_is_hidden(name, "**/*.csv") for name in ("M1/._a.csv", ".snapshot/a.csv", "M1/a.csv")]
+    >>> [_is_hidden(name, "**/*") for name in (".snapshot/a.csv", "M1/~$a.csv", "M1/a.csv")]
     [True, True, False]
     """
     is_named = "/." in f"/{pattern}" or "~$" in pattern

@@ -223,8 +223,7 @@ def old_files(
 ) -> tuple[OldFiles, ...]:
     """Return files older than the days of their table; a month is as old as its last night.
 
-    Blocks of the nights `of_baselines` stay: without them a watch that is made anew, as by a late
-    log, would have no baseline, and what is in force would be gone.
+    Blocks of `of_baselines` stay: a watch that is made anew, as by a late log, begins with them.
     """
     stale = []
     for table in TABLES:
@@ -232,9 +231,8 @@ def old_files(
             continue
         first_day = newest_night - dt.timedelta(days=days[table.name] - 1)
         needed = set(of_baselines) if table is BLOCKS else set()
-        nights = {file: days_of(file.stem) for file in files_of(output, table)}
-        old = [file for file, its in nights.items() if its[-1] < first_day]
-        old = [file for file in old if needed.isdisjoint(nights[file])]
+        old = [file for file in files_of(output, table) if days_of(file.stem)[-1] < first_day]
+        old = [file for file in old if needed.isdisjoint(days_of(file.stem))]
         if old:
             first, last = days_of(old[0].stem)[0], days_of(old[-1].stem)[-1]
             names = tuple(name_of(output, path) for path in old)
