@@ -60,6 +60,10 @@ def test_prune_lists_and_then_removes_old_nights_of_heavy_tables(plant: Scenario
         assert (line["first_night"], line["last_night"]) == ("2026-01-02", "2026-01-16")
         assert nights() == left
     assert_frame_equal(plant.table("latest"), states)
+    # A baseline in force keeps its blocks: a late log would end what was detected.
+    plant.run("prune", "--tables", "blocks", "--keep", 5, "--yes")
+    calm, left = plant.newest("calm"), set(plant.table("blocks")["night"])
+    assert {calm["baseline_start"], calm["baseline_end"], before[-1]} <= left < set(before)
     (plan, *_) = plant.run("fit-fleet", "--dry-run", "--json").events("plan")
     assert plan["nights"] == {}
 
