@@ -14,7 +14,7 @@ import pytest
 
 from pipeline.config import Execution
 from pipeline.workers import engine, process
-from pipeline.workers.engine import HUGE_PAGES, Workers, open_workers
+from pipeline.workers.engine import HUGE_PAGES, Workers, memory_of, open_workers
 from pipeline.workers.process import Loss
 from tests.pipeline.misbehaviour import (
     count_beside_or_die,
@@ -192,4 +192,4 @@ def test_a_worker_has_its_share_of_the_machine_within_limits(
 ) -> None:
     sizes = {"SC_PHYS_PAGES": machine_gib << 18, "SC_PAGE_SIZE": 1 << 12}
     monkeypatch.setattr(os, "sysconf", sizes.__getitem__)
-    assert engine.memory_of(n_workers) == limit_gib << 30
+    assert memory_of(n_workers) == limit_gib << 30
