@@ -51,8 +51,7 @@ _JSON = "json", "", "", b""
 
 def _read(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
-    names = dict.fromkeys(channel.source for channel in file.channels.values())
-    topics = [_Topic(file, name) for name in names]
+    topics = _topics(file)
     for messages in read_messages(file.path):
         times = messages.times(_time_of_record(file.logs))
         for topic in topics:
@@ -82,7 +81,29 @@ def _span(file: LogFile) -> tuple[int, int]:
         # A single stamp may be wrong that the messages themselves would show to be so.
         if ends.readable.all() and (ends.time_us <= file.latest_us).all():
             return span(file.path, [ends.time_us])
-    return span(file.path, _read(file).stamps())
+    if logs.stamp:
+        return span(file.path, _read(file).stamps())
+    return span(file.path, _times_of_records(file))
+
+
+def _topics(file: LogFile) -> list[_Topic]:
+    names = dict.fromkeys(channel.source for channel in file.channels.values())
+    return [_Topic(file, name) for name in names]
+
+
+def _times_of_records(file: LogFile) -> list[NDArray[np.int64]]:
+    """Return time stamps of the wanted messages, none of which is decoded."""
+    topics, times_ns = _topics(file), list[NDArray[np.uint64]]()
+    for messages in read_messages(file.path):
+        times = messages.times(_time_of_record(file.logs))
+        for topic in topics:
+            topic.declare(messages)
+            times_ns.append(times[messages.rows_of(topic.name)])
+    for topic in topics:
+        topic.require_all(messages)
+    every = place_in_zone(parse_numbers(np.concatenate(times_ns), "epoch_ns"), "UTC")
+    stamps, _ = drop_bad_stamps(file.path, [every], _time_name(file.logs), file.latest_us)
+    return [own.time_us[own.readable] for own in stamps]
 
 
 READER = Reader(_read, _span)
@@ -157,11 +178,7 @@ class _Topic:
 
     def take(self, messages: Messages, times: NDArray[np.uint64]) -> None:
         """Take its messages of a piece of the file, whose messages have these times."""
-        if len(messages.channels) != self.known:
-            self.known = len(messages.channels)
-            for channel in messages.channels.values():
-                if channel.topic == self.name:
-                    self._set_kind(messages, channel)
+        self.declare(messages)
         rows = messages.rows_of(self.name)
         if rows.size:
             self.held.append(payloads_of(messages, rows, times))
@@ -171,6 +188,14 @@ class _Topic:
             )
             if sum(held) >= _PIECE:
                 self.decode()
+
+    def declare(self, messages: Messages) -> None:
+        """Know how its messages are read, by what a piece of the file declares."""
+        if len(messages.channels) != self.known:
+            self.known = len(messages.channels)
+            for channel in messages.channels.values():
+                if channel.topic == self.name:
+                    self._set_kind(messages, channel)
 
     def _set_kind(self, messages: Messages, channel: Channel) -> None:
         """Know how its messages are read; several channels may have them, all of the same kind."""
