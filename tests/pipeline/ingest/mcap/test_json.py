@@ -79,7 +79,10 @@ payload_bytes = (
 )
 
 
-@given(st.lists(payload_bytes, min_size=1, max_size=12))
+alike = st.text("0123456789.-+e ", max_size=6).map(lambda cell: b'{"value":%s}' % cell.encode())
+
+
+@given(st.lists(payload_bytes, min_size=1, max_size=12) | st.lists(alike, min_size=1, max_size=3))
 def test_any_payloads_as_one_by_one(
     tmp_path_factory: pytest.TempPathFactory, payloads: list[bytes]
 ) -> None:
